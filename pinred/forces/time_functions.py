@@ -2,12 +2,15 @@
 
 A function of time is a part of an expression that depends on time and on numbers, but not on the
 state. In `6 exp(−(t − 1)²) x`, it is the factor of x. Expressions such as `sin(400 t − x)`, which
-depend on both together, count with a fixed state.
+depend on both together, count with a fixed state. The terms of a sum are functions of their own,
+because a large slow term would hide a short pulse.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from itertools import product
+from math import prod
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -18,6 +21,7 @@ from ..common.errors import InputError
 from .vector_program import VectorProgram
 
 _CONSTANT, _TIMED, _STATE = range(3)
+_MOST_TERMS = 64  # largest number of functions for which sums are split into terms
 
 
 class TimeFunctions:
@@ -25,6 +29,7 @@ class TimeFunctions:
 
     Attributes:
         count: Number of functions; those with an operation that NumPy lacks are left out.
+        firsts: Index of the first term of each sum, (S,).
     """
 
     def __init__(
@@ -39,12 +44,17 @@ class TimeFunctions:
             held: Indices of the numbers that change during a run.
         """
         t, p = ca.SX.sym("t"), ca.SX.sym("p", size)
-        found: dict[int, ca.SX] = {}
+        found: dict[int, _Value] = {}
         for function, numbers in functions:
             _collect(function, numbers, t, p, held, found)
-        timed = [e for e in found.values() if ca.depends_on(ca.jacobian(e, t), t)]
-        timed = [e for e in timed if _is_known([t, p], e)]
+        values = [v for v in found.values() if _is_bent(v.expression, t)]
+        values = [v for v in values if _is_known([t, p], v.expression)]
+        groups = [_terms(value, t) for value in values]
+        if sum(map(len, groups)) > _MOST_TERMS:
+            groups = [[value.expression] for value in values]
+        timed = [term for group in groups for term in group]
         self.count = len(timed)
+        self.firsts = np.cumsum([0, *map(len, groups[:-1])], dtype=np.int64)[: len(groups)]
         self.used = [k for k, used in enumerate(_depends(timed, p)) if used]
         self._program = VectorProgram([t, *(p[k] for k in self.used)], timed)
 
@@ -93,6 +103,22 @@ def _depends(expressions: Sequence[ca.SX], p: ca.SX) -> Sequence[bool]:
     return list(ca.which_depends(column, p)) if p.numel() and column.numel() else []
 
 
+def _is_bent(expression: ca.SX, t: ca.SX) -> bool:
+    """Return whether an expression depends on time, but not linearly."""
+    return bool(ca.depends_on(ca.jacobian(expression, t), t))
+
+
+def _terms(value: _Value, t: ca.SX) -> list[ca.SX]:
+    """Return the terms of a sum; those that are linear in time are added up."""
+    bent, rest = [], ca.SX(0)
+    for term in value.terms or (value.expression,):
+        if _is_bent(term, t):
+            bent.append(term)
+        else:
+            rest += term
+    return bent if rest.is_zero() else [*bent, rest]
+
+
 def _is_known(inputs: Sequence[ca.SX], expression: ca.SX) -> bool:
     """Return whether NumPy has all operations of an expression."""
     try:
@@ -111,12 +137,14 @@ class _Value(NamedTuple):
         timed: Whether it depends on time.
         bent: Whether it depends on time and state together in another way than through sums, and
             products of functions of time with functions of the state.
+        terms: Its terms, if it is a sum.
     """
 
     kind: int
     expression: ca.SX
     timed: bool = False
     bent: bool = False
+    terms: tuple[ca.SX, ...] = ()
 
 
 _SUMS = (ca.OP_ASSIGN, ca.OP_ADD, ca.OP_SUB, ca.OP_NEG, ca.OP_TWICE)
@@ -128,14 +156,14 @@ def _collect(
     t: ca.SX,
     p: ca.SX,
     held: Collection[int],
-    found: dict[int, ca.SX],
+    found: dict[int, _Value],
 ) -> None:
-    """Add the functions of time in a CasADi function to {hash: expression}; see TimeFunctions."""
+    """Add the functions of time in a CasADi function to {hash: value}; see TimeFunctions."""
     work: list[Any] = [None] * function.sz_w()
 
     def use(value: _Value) -> None:
         if value.kind == _TIMED or value.bent:
-            found.setdefault(value.expression.element_hash(), value.expression)
+            found.setdefault(value.expression.element_hash(), value)
 
     for k in range(function.n_instructions()):
         op, into = function.instruction_id(k), function.instruction_output(k)
@@ -159,14 +187,24 @@ def _collect(
 
 def _apply(op: int, values: Sequence[_Value]) -> _Value:
     """Return the value of an operation."""
-    operation = ca.SX.unary if len(values) == 1 else ca.SX.binary
+    operation: Any = ca.SX.unary if len(values) == 1 else ca.SX.binary
     kind = max(value.kind for value in values)
     timed = [value.timed for value in values]
     is_sum = op in _SUMS or (op == ca.OP_MUL and sum(timed) < 2)
     is_sum = is_sum or (op == ca.OP_DIV and not timed[1])
     bent = any(value.bent for value in values) or not is_sum
     expression = operation(op, *(value.expression for value in values))
-    return _Value(kind, expression, any(timed), kind == _STATE and any(timed) and bent)
+    terms: tuple[ca.SX, ...] = ()
+    if kind == _TIMED and op in (*_SUMS, ca.OP_MUL, ca.OP_DIV):
+        parts = [value.terms or (value.expression,) for value in values]
+        if op in (ca.OP_ADD, ca.OP_SUB):
+            if sum(map(len, parts)) <= _MOST_TERMS:
+                terms = (*parts[0], *(operation(op, 0.0, e) for e in parts[1]))
+        elif op == ca.OP_DIV:
+            terms = tuple(operation(op, e, values[1].expression) for e in parts[0])
+        elif prod(map(len, parts)) <= _MOST_TERMS:
+            terms = tuple(operation(op, *factors) for factors in product(*parts))
+    return _Value(kind, expression, any(timed), kind == _STATE and any(timed) and bent, terms)
 
 
 def _input(given: Sequence[int], numbers: int, t: ca.SX, p: ca.SX, held: Collection[int]) -> _Value:

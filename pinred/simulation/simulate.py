@@ -159,23 +159,23 @@ def _simulated(
         from .pinocchio.run_pinocchio import run_pinocchio
 
         run = partial(run_pinocchio, progress=progress, again=again)
+    resolved = partial(_resolved, run=run, engine=engine)
     if not check:
-        return _resolved(plan, run)
+        return resolved(plan)
     from .step_resolution import check_has_step_control, resolve_steps
 
     if engine == "compiled":
         check_has_step_control(plan)
-    return resolve_steps(plan, _resolved(plan, run), run)
+    return resolve_steps(plan, resolved(plan), resolved)
 
 
-def _resolved(plan: Plan, run: Callable[[Plan], Trajectory]) -> Trajectory:
-    """Return the trajectory of a plan, with more stops if its steps skip functions of time."""
-    trajectory = run(plan)
+def _resolved(plan: Plan, run: Callable[[Plan], Trajectory], engine: Engine) -> Trajectory:
+    """Return the trajectory of a plan, with steps that resolve functions of time."""
     if not (plan.has_time_functions and plan.method.adaptive):
-        return trajectory
+        return run(plan)
     from .time_resolution import resolve
 
-    return resolve(plan, trajectory, run)
+    return resolve(plan, run, engine)
 
 
 def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Scene:

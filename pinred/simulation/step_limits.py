@@ -12,7 +12,7 @@ L. N. Trefethen, Approximation Theory and Approximation Practice, SIAM 2019, cha
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -72,16 +72,20 @@ class StepLimits:
             the range of the function's integral over the run; the largest of all functions,
             (P, DEGREE + 1).
         unresolved: Times near which the search ended before a function was resolved, (U,) [s].
+        share: Factor by which the longest steps are shorter than the panels.
     """
 
     ends: Array
     longest: Array
     decay: Array
     unresolved: Array
+    share: float = 1.0
 
     def shorter(self, share: float) -> StepLimits:
         """Return the limits with all steps shorter by a factor."""
-        return replace(self, longest=share * self.longest)
+        if share == 1.0:
+            return self
+        return replace(self, longest=share * self.longest, share=share * self.share)
 
     def within(self, starts: Array, ends: Array) -> Array:
         """Return the longest step in each of K intervals of time, (K,) [s].
@@ -131,8 +135,9 @@ class StepLimits:
             previous = own
         return np.array(stops[1:] if stops and stops[0] == 0.0 else stops)
 
+    @cached_property
     def cheapest(self) -> Limited:
-        """Return a longest step and stops that resolve all functions, whatever the other steps."""
+        """The longest step and the stops that resolve all functions with the fewest steps."""
         end = float(self.ends[-1])
         lengths = np.diff(self.ends, prepend=0.0)
         octaves = np.floor(_PER_OCTAVE * np.log2(self.longest)) / _PER_OCTAVE
@@ -213,7 +218,7 @@ def limits_of_runs(
     for first in range(0, len(numbers), _TOGETHER):
         runs = slice(first, first + _TOGETHER)
         search = _Search(forces, end, numbers[runs], rtol, tables[runs])
-        limits += [replace(each, longest=each.longest * share) for each in search.run()]
+        limits += [each.shorter(share) for each in search.run()]
     return limits
 
 
@@ -235,6 +240,7 @@ class _Panels(NamedTuple):
         noise: Round-off of the coefficients, (P, F).
         range: Range of the samples, (P, F).
         bounds: Width of intervals that contain all values, infinity if they are unknown, (P, F).
+        total: Range of the samples of each sum of functions, (P, S).
     """
 
     span: Indices
@@ -244,6 +250,7 @@ class _Panels(NamedTuple):
     noise: Array
     range: Array
     bounds: Array
+    total: Array
 
     def at(self, which: Any) -> _Panels:
         """Return the panels with given indices, or a mask."""
@@ -321,7 +328,7 @@ class _Search:
             parts = (self._panels(span[c], level[c], index[c], bounded=bounded) for c in chunks)
             return _joined(*parts)
         functions, nodes, transform = self._forces.time_functions, *_chebyshev()
-        bare = _Panels(span, level, index, *[np.empty(0)] * 4)
+        bare = _Panels(span, level, index, *[np.empty(0)] * 5)
         starts, lengths = self._times(bare)
         times = starts[:, None] + 0.5 * lengths[:, None] * (1.0 + nodes)
         of_spans = self._of_spans[:, span]
@@ -342,24 +349,27 @@ class _Search:
             bounds = functions.widths(
                 starts, starts + lengths, numbers, self._forces.within, of_spans
             )
+        total = np.ptp(np.add.reduceat(values, functions.firsts, axis=1), axis=2)
         return _Panels(
-            span, level, index, values @ transform, noise, np.ptp(values, axis=2), bounds.T
+            span, level, index, values @ transform, noise, np.ptp(values, axis=2), bounds.T, total
         )
 
     def _scales(self, panels: _Panels) -> Array:
-        """Return the range of the integral of each function over each run, (N, F)."""
+        """Return the range over each run of the integral of the sum with each function, (N, F)."""
         starts, lengths = self._times(panels)
         run = self._run[panels.span]
         order = np.lexsort((starts, run))
         first = np.searchsorted(run[order], np.arange(len(self._numbers)))
-        means = panels.coefficients[:, :, ::2] @ _MEANS
+        firsts = self._forces.time_functions.firsts
+        means = np.add.reduceat(panels.coefficients[:, :, ::2] @ _MEANS, firsts, axis=1)
         steps = (lengths[:, None] * means)[order]
         sums = np.cumsum(steps, axis=0)
         sums -= (sums - steps)[first][run[order]]
         highest = np.maximum(np.maximum.reduceat(sums, first), 0.0)
         lowest = np.minimum(np.minimum.reduceat(sums, first), 0.0)
-        inside = np.maximum.reduceat((lengths[:, None] * panels.range)[order], first) / DEGREE
-        return np.asarray(np.maximum(highest - lowest, inside))
+        inside = np.maximum.reduceat((lengths[:, None] * panels.total)[order], first) / DEGREE
+        terms = np.diff(firsts, append=panels.range.shape[1])
+        return np.repeat(np.maximum(highest - lowest, inside), terms, axis=1)
 
     def _growth(self, panels: _Panels, scale: Array) -> Array:
         """Return the ratio of the longest resolved step to each panel, (P,)."""

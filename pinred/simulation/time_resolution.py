@@ -1,40 +1,48 @@
 """Whether the steps of a run resolve the functions of time in its forces.
 
-Steps that are longer than the limits of `step_limits` may miss a part of a function. The dense
-output of these steps is then put into the equations of motion: the difference between the change
-of the state over a step and the integral of its rates, by a quadrature that resolves all functions,
-is the defect of the step. If a defect exceeds the tolerance, the run is repeated with stops between
-which no step is too long. Scenes without functions of time cost nothing.
+Steps are not longer than the panels of `step_limits`. Methods of high order need no more, but the
+error estimates of others may fail even so. The dense output of steps that are longer than half of
+their limits is therefore put into the equations of motion: the difference between the change of
+the state over a step and the integral of its rates, by a quadrature that resolves all functions, is
+the defect of the step. If the sum of the defects exceeds the tolerance, the run is repeated with
+shorter steps. Scenes without functions of time cost nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from functools import partial
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from ..common.arrays import Array
 from ..integrators.methods import DOP853, DOP853_LEAST, ErrorControl
+from ..scene.scene import Engine
 from ..system.coordinates import Indices
-from .compiled.integrator import divisions_of
-from .motion import Motion
 from .plan import Plan
-from .step_limits import StepLimits, step_limits
+from .reduced_flow import ReducedFlow
+from .step_limits import Limited, StepLimits, step_limits
 from .trajectory import Cost, Trajectory
 
 _SHOWN = 5  # largest number of times in a notice
 # Change of states between two runs that is an error, in tolerances.
 _CHANGED = 100.0
 _COMPARED = 16  # number of times at which two runs are compared
-_DEFECT = 20.0  # largest defect of a step that resolves all functions, in tolerances
-_NODES = 16  # number of nodes of the quadrature over a part of a step
-_MOST_PARTS = 1 << 12  # largest number of these parts of all steps of a run
+_DEFECT = 50.0  # largest sum of the defects of a run that resolves all functions, in tolerances
+_NODES = 10  # number of nodes of the quadrature over a part of a step
+_TOGETHER = 1 << 10  # number of parts of steps that are evaluated together
 _CHECKED = 0.5  # length of the shortest steps that are checked, relative to the limits
-# Lengths of steps in further runs, relative to the limits.  The error estimate of a step in the
+# Lengths of steps in successive runs, relative to the limits.  The error estimate of a step in the
 # flank of a pulse may fail although the step sees the whole function.
 SHARES = (1.0, 0.4)
+# Length of the longest steps in the first run, at least, relative to the panels.  Limits of methods
+# of low order are shorter, but few functions need them.
+_FIRST = 0.4
+
+
+Result = TypeVar("Result")
 
 
 class Steps(NamedTuple):
@@ -43,58 +51,88 @@ class Steps(NamedTuple):
     Attributes:
         ends: Ends of the steps, with the start of the first, (K + 1,) [s].
         at: Dense output: function from times (T,) to reduced states (T, k).
-        parameters: Parameters of the vector field, (p,).
+        rates: Function from times (T,) and reduced states (T, k) to rates, (T, k).
     """
 
     ends: Array
     at: Callable[[Array], Array]
-    parameters: Array
+    rates: Callable[[Array, Array], Array]
 
 
-Rates = Callable[[Array, Array, Array], Array]
-
-
-def resolve(plan: Plan, trajectory: Trajectory, run: Callable[[Plan], Trajectory]) -> Trajectory:
-    """Return a trajectory that resolves all functions of time, with more stops if necessary.
+def resolved_runs(
+    limits: StepLimits,
+    tolerance: tuple[float, float],
+    run: Callable[[Limited], Result],
+    steps_of: Callable[[Result], Iterable[Steps]],
+) -> list[Result]:
+    """Integrate with limited steps, and again with shorter ones if functions are not resolved.
 
     Args:
-        plan: The plan of the trajectory.
-        trajectory: The trajectory.
-        run: Function that integrates a plan.
+        limits: Limits of the steps.
+        tolerance: Relative and absolute tolerance of the steps.
+        run: Function that integrates with a longest step and stops.
+        steps_of: Function from a run to its steps.
     Returns:
-        The trajectory. A notice states functions that are still not resolved.
+        All runs. The last one is the result.
     """
-    if plan.forces is None:
-        return trajectory
-    engine, runs = trajectory.run.engine, [trajectory]
-    limited = plan
-    tolerance = tolerance_of(plan, engine)
-    arguments = plan.forces, plan.scene.end, plan.numbers, tolerance[0]
-    limits = step_limits(*arguments, order_of(plan) if engine == "compiled" else DOP853.order)
-    for share in SHARES:
-        motion = runs[-1].motion
-        divisions = divisions_of(limited) if engine == "compiled" else 1
-        steps = steps_to_check(limits, motion.knots[::divisions], motion.segments.ends)
-
-        def steps_of(k: int, motion: Motion = motion, divisions: int = divisions) -> Steps:
-            segment = motion.segments[k]
-            return Steps(segment.knots[::divisions], segment.at, segment.parameters)
-
-        if not is_unresolved(limits, map(steps_of, steps), motion.flow.rates, tolerance):
+    runs: list[Result] = []
+    for share in sorted({max(1.0, _FIRST / limits.share), *SHARES}, reverse=True):
+        runs.append(run(limits.shorter(share).cheapest))
+        # Methods of high order integrate functions on panels exactly.
+        if limits.share == 1.0 or not is_unresolved(limits, steps_of(runs[-1]), tolerance):
             break
-        limited = plan.limited(*limits.shorter(share).cheapest())
-        if engine == "compiled" and limited.method.name != plan.method.name:
-            # The choice of the method takes stops into account.
-            limits = step_limits(*arguments, order_of(limited))
-            limited = plan.limited(*limits.shorter(share).cheapest())
-        runs.append(run(limited))
+    return runs
+
+
+def resolve(plan: Plan, run: Callable[[Plan], Trajectory], engine: Engine) -> Trajectory:
+    """Return a trajectory whose steps resolve all functions of time in its forces.
+
+    Args:
+        plan: The plan.
+        run: Function that integrates a plan.
+        engine: The engine that integrates.
+    Returns:
+        The trajectory. A notice states functions that are not resolved.
+    """
+    assert plan.forces is not None
+    compiled, tolerance = engine == "compiled", tolerance_of(plan, engine)
+    arguments = plan.forces, plan.scene.end, plan.numbers, tolerance[0]
+    limits = step_limits(*arguments, order_of(plan) if compiled else DOP853.order)
+    limited = plan.limited(*limits.cheapest)
+    if compiled and limited.method.name != plan.method.name:
+        # The choice of the method takes stops into account.
+        limits = step_limits(*arguments, order_of(limited))
+
+    def steps_of(trajectory: Trajectory) -> Iterator[Steps]:
+        return _steps_of(limits, trajectory)
+
+    runs = resolved_runs(limits, tolerance, lambda each: run(plan.limited(*each)), steps_of)
     last, notices = runs[-1], runs[-1].run.notices
     if limits.unresolved.size:
         notices += (describe_unresolved(plan, limits.unresolved),)
     elif len(runs) == 1:
-        return trajectory
-    last.run = replace(cost_of_all([r.run for r in runs]), notices=notices)
+        return last
+    last.run = replace(cost_of_all([each.run for each in runs]), notices=notices)
     return last
+
+
+def _steps_of(limits: StepLimits, trajectory: Trajectory) -> Iterator[Steps]:
+    """Yield the steps between stops, of spans that contain steps to be checked."""
+    motion, flow = trajectory.motion, trajectory.motion.flow
+    chosen: Iterable[int] = range(len(motion.segments))
+    parts, rest = divmod(len(motion.knots) - 1, max(1, motion.steps))
+    if parts and not rest:  # Each step has the same number of parts.
+        chosen = steps_to_check(limits, motion.knots[::parts], motion.segments.ends)
+    for k in chosen:
+        segment = motion.segments[k]
+        knots = segment.knots
+        parts = -(-(len(knots) - 1) // max(1, segment.steps))  # of each step, rounded up
+        ends = np.append(knots[:-1:parts], knots[-1])
+        yield Steps(ends, segment.at, partial(_rates, flow, segment.parameters))
+
+
+def _rates(flow: ReducedFlow, parameters: Array, t: Array, y: Array) -> Array:
+    return flow.rates(t, y, parameters)
 
 
 def describe_unresolved(plan: Plan, times: Array) -> str:
@@ -161,58 +199,51 @@ def steps_to_check(limits: StepLimits, ends: Array, stops: Array) -> list[int]:
 
 
 def is_unresolved(
-    limits: StepLimits, steps: Iterable[Steps], rates: Rates, tolerance: tuple[float, float]
+    limits: StepLimits, steps: Iterable[Steps], tolerance: tuple[float, float]
 ) -> bool:
     """Return whether a step misses a part of a function of time.
 
     Args:
         limits: Limits of the steps.
         steps: Steps of the run, at least in the spans of `steps_to_check`.
-        rates: Function from times (T,), reduced states (T, k) and parameters to rates, (T, k).
         tolerance: Relative and absolute tolerance of the steps.
     """
+    error: Array | float = 0.0
+    size: Array | float = 0.0  # largest absolute value of each entry of the state so far
     for each in steps:
         starts, lengths = each.ends[:-1], np.diff(each.ends)
         allowed = limits.within(starts, each.ends[1:])
         long = lengths > _CHECKED * allowed
         if not long.any():
             continue
-        counts = np.ceil(lengths[long] / allowed[long])
-        if not counts.sum() <= _MOST_PARTS:
-            return True
-        defects = _defects(each, starts[long], lengths[long], counts.astype(int), rates, tolerance)
-        if not (defects <= _DEFECT).all():
-            return True
+        counts = np.ceil(limits.share * lengths[long] / allowed[long]).astype(int)
+        pieces = np.array_split(np.arange(len(counts)), -(-counts.sum() // _TOGETHER))
+        for k in pieces:
+            defects, sizes = _defects(each, starts[long][k], lengths[long][k], counts[k])
+            errors = error + np.cumsum(defects, axis=0)
+            sizes = np.maximum.accumulate(np.maximum(sizes, size))
+            if not (np.abs(errors) <= _DEFECT * (tolerance[1] + tolerance[0] * sizes)).all():
+                return True
+            error, size = errors[-1], sizes[-1]
     return False
 
 
-def _defects(
-    steps: Steps,
-    starts: Array,
-    lengths: Array,
-    counts: Indices,
-    rates: Rates,
-    tolerance: tuple[float, float],
-) -> Array:
-    """Return the defects of K steps, in tolerances, (K,).
+def _defects(steps: Steps, starts: Array, lengths: Array, counts: Indices) -> tuple[Array, Array]:
+    """Return the defects of K steps, and the absolute values of their states, (K, k) each.
 
     Args:
         steps: The steps of which these are some.
         starts: Starts of the steps, (K,) [s].
         lengths: Lengths of the steps, (K,) [s].
         counts: Numbers of equal parts that resolve all functions of time, (K,).
-        rates: See `is_unresolved`.
-        tolerance: See `is_unresolved`.
     """
     step, first = np.repeat(np.arange(len(counts)), counts), np.cumsum(counts) - counts
     part = np.arange(len(step)) - first[step]
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     half = 0.5 * (lengths / counts)[step]
     times = starts[step, None] + half[:, None] * (2 * part[:, None] + 1.0 + nodes)
-    y = steps.at(times.ravel())
-    slopes = rates(times.ravel(), y, steps.parameters).reshape(*times.shape, -1)
+    y = steps.at(np.concatenate([times.ravel(), starts, starts + lengths]))  # in one call: faster
+    inside, before, after = np.split(y, [times.size, times.size + len(starts)])
+    slopes = steps.rates(times.ravel(), inside).reshape(*times.shape, -1)
     changes = np.add.reduceat(half[:, None] * np.einsum("n,pnk->pk", weights, slopes), first)
-    before, after = steps.at(starts), steps.at(starts + lengths)
-    rtol, atol = tolerance
-    errors = np.abs(after - before - changes) / (atol + rtol * np.abs(after))
-    return np.asarray(np.where(np.isnan(errors), np.inf, errors).max(axis=1, initial=0.0))
+    return after - before - changes, np.maximum(np.abs(before), np.abs(after))

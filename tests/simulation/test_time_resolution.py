@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -14,14 +16,15 @@ from scipy.special import jv
 import pinred
 from pinred import Parameter
 from pinred.common.arrays import Array
-from pinred.forces import Torque
+from pinred.forces import Torque, time_functions
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Hold
-from pinred.simulation import step_limits, time_resolution
+from pinred.simulation import step_limits, step_resolution, time_resolution
 from pinred.simulation.flow_map import resolved_run
+from pinred.simulation.members import integrate_members
 from pinred.simulation.plan import plan_of
 from pinred.simulation.step_limits import StepLimits
-from tests.helpers import fast_torques
+from tests.helpers import timed_torques
 
 CAT = pinred.load("falling_cat")
 CENTRE, WIDTH, RATE = Parameter("centre", 1.0), Parameter("width", 0.01), Parameter("rate", 1.0)
@@ -47,10 +50,17 @@ def stopped(centre: float, width: float) -> Torque:
     return Torque({"bend": Hold([0.0, *times.tolist()], [0.0] * 14)})
 
 
-def never_check(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Switch the check off."""
-    monkeypatch.setattr(time_resolution, "is_unresolved", lambda *_: False)
-    monkeypatch.setattr(resolved_run, "is_unresolved", lambda *_: False)
+UNLIMITED = step_limits.Limited(np.inf, np.empty(0))
+
+
+def never_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Switch limits and checks of steps off."""
+
+    def runs(_: StepLimits, __: tuple[float, float], run: Any, *___: Any) -> list[Any]:
+        return [run(UNLIMITED)]
+
+    monkeypatch.setattr(time_resolution, "resolved_runs", runs)
+    monkeypatch.setattr(resolved_run, "resolved_runs", runs)
 
 
 def test_bumps_are_not_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -62,7 +72,7 @@ def test_bumps_are_not_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
         values = {"centre": centre, "width": width}
         checked = pinred.simulate(scene(torque, parameters=values)).x
         with monkeypatch.context() as context:
-            never_check(context)
+            never_limit(context)
             plain = pinred.simulate(scene(torque, parameters=values)).x
             fine = scene(torque, stopped(centre, width), parameters=values, rtol=1e-11, atol=1e-12)
             reference = pinred.simulate(fine).x
@@ -85,21 +95,54 @@ def test_resolved_bump_passes_the_comparison(engine: Engine) -> None:
     assert report.passed, str(report)
 
 
-@pytest.mark.parametrize("method", ["DOP853", "Tsit5", "Radau", "AdaptiveGauss"])
-def test_ordinary_functions_cause_no_rerun(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sines up to 300 rad/s, and a sine within a pulse, are resolved by the first run."""
-    seen: list[bool] = []
-    check = time_resolution.is_unresolved
+METHODS = ("auto", "DOP853", "AdaptiveGauss", "Tsit5", "Radau")
 
-    def spy(*arguments: Any) -> bool:
-        seen.append(check(*arguments))
-        return seen[-1]
 
-    monkeypatch.setattr(time_resolution, "is_unresolved", spy)
-    sine = Torque(lambda s: {"bend": ca.sin(RATE * s.t) * ca.if_else(s.t > 0.7, 1.0, 0.4)})
-    for rate in (1.0, 10.0, 300.0):
-        pinred.simulate(scene(sine, method=method, parameters={"rate": rate}, times=[1.0]))
-    assert seen == [False] * 3
+def runs_of(
+    cases: list[timed_torques.Case], method: str, rtol: float
+) -> Iterator[pinred.Trajectory]:
+    """Yield the trajectory of each case."""
+    options: dict[str, Any] = {"method": method, "rtol": rtol, "atol": rtol / 100.0}
+    for case in cases:
+        yield pinred.simulate(case.scene, parameters=case.parameters, **options)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_ordinary_torques_cost_no_evaluations(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Limits of steps add at most 3 % to the evaluations of 18 scenes."""
+    cases, counts = list(timed_torques.ordinary_cases("planar_chain5")), []
+    for limit in (True, False):
+        if not limit:
+            never_limit(monkeypatch)
+        counts.append([r.run.evaluations for x in (1e-8, 1e-6) for r in runs_of(cases, method, x)])
+    assert sum(counts[0]) <= 1.03 * sum(counts[1])
+
+
+@pytest.mark.by_hand
+@pytest.mark.parametrize("method", METHODS)
+def test_right_runs_with_ordinary_torques_cost_no_evaluations(
+    method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 288 scenes, limits add at most 3 % to those that are right without; all become right."""
+    cases = list(timed_torques.ordinary_cases())
+    references = [timed_torques.reference(case) for case in cases]
+    for rtol in (1e-10, 1e-8, 1e-6, 1e-4):
+        bounds = [rtol * max(1.0, growth) for _, growth in references]
+        runs = list(runs_of(cases, method, rtol))
+        with monkeypatch.context() as context:
+            never_limit(context)
+            free = list(runs_of(cases, method, rtol))
+        errors, free_errors = (
+            [
+                np.abs(r.x[-1] - e).max() / b
+                for r, (e, _), b in zip(each, references, bounds, strict=True)
+            ]
+            for each in (runs, free)
+        )
+        assert max(errors) < 10.0
+        right = [k for k, error in enumerate(free_errors) if error < 1.0]
+        counts = [sum(each[k].run.evaluations for k in right) for each in (runs, free)]
+        assert counts[0] <= 1.03 * counts[1]
 
 
 def test_functions_that_stay_unresolved_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -181,8 +224,7 @@ def test_members_skip_no_bumps(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(alone.x[0], batch.x[0])
     shared = replace(options, parameters={"width": widths[0], "centre": centres[0]})
     np.testing.assert_array_equal(pinred.simulate_many([shared, shared]).x[1], batch.x[0])
-    unlimited = step_limits.Limited(np.inf, np.empty(0))
-    monkeypatch.setattr(StepLimits, "cheapest", lambda _: unlimited)
+    monkeypatch.setattr(StepLimits, "cheapest", UNLIMITED)
     bare = pinred.simulate_many(options, members={"width": widths, "centre": centres})
     assert np.abs(bare.x[:3] - batch.x[:3]).max() > 1e-2
 
@@ -206,7 +248,7 @@ def test_limits_of_a_sine_agree_with_bessel_functions(rate: float, rtol: float) 
     limits = limits_of(lambda t: ca.sin(rate * t), rtol=rtol)
     assert limits.ends[-1] == 2.0
     assert (np.abs(np.log2(limits.longest / exact)) < 0.35).all()
-    longest, stops = limits.cheapest()
+    longest, stops = limits.cheapest
     assert longest == pytest.approx(exact, rel=0.3)
     assert stops.size == 0
 
@@ -232,6 +274,63 @@ def test_limits_find_a_needle_between_all_samples(monkeypatch: pytest.MonkeyPatc
     assert limits_of(lambda t: 1.0 * needle(t), end=2.0000001).longest.min() > 1e-3
 
 
+@pytest.mark.parametrize("kind", ["sum", "multiple", "product"])
+def test_limits_find_a_needle_in_a_sum(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slow term of the same size does not hide it, although bounds of the sum are not wider."""
+
+    def torque(t: ca.SX) -> ca.SX:
+        both = ca.sin(3.0 * t) - 0.5 * ca.exp(-(((t - 1.2345678) / 1e-5) ** 2)) + 2.0
+        return {"sum": both, "multiple": -0.3 * both, "product": both * ca.tanh(t)}[kind]
+
+    limits = limits_of(torque)
+    at = int(np.searchsorted(limits.ends, 1.2345678))
+    assert limits.longest[at] < 1e-4
+    assert limits.longest.max() > 0.1
+    monkeypatch.setattr(time_functions, "_MOST_TERMS", 0)
+    assert limits_of(torque, end=2.0000001).longest.min() > 0.03
+
+
+def needle(t: ca.SX, width: float, centre: float = 1.2359) -> ca.SX:
+    """Return a Gaussian whose default centre is between the samples of panels."""
+    return ca.exp(-(((t - centre) / width) ** 2))
+
+
+# Constants of the search, the function that is hidden, and the constant ten times looser.
+HIDDEN: dict[str, tuple[Callable[[ca.SX], ca.SX], float]] = {
+    "_UNSEEN": (lambda t: (1.0 + 0.5 * ca.sin(3.0 * t)) ** 2 + needle(t, 1e-4), 80.0),
+    "_HIDDEN": (lambda t: (1.0 + 0.01 * ca.sin(3.0 * t)) ** 2 + needle(t, 1e-5), 1e4),
+    "_FAINT": (lambda t: needle(t, 0.05, 0.4) ** 2 + (2e-3 * needle(t, 1e-5)) ** 2, 1e-2),
+}
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_limits_find_a_needle_that_is_no_term(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A root of a sum is no sum; bounds show the needle up to a ratio of sizes."""
+    function, loose = HIDDEN[name]
+    limits = limits_of(lambda t: ca.sqrt(function(t)))
+    assert limits.longest[np.searchsorted(limits.ends, 1.2359)] < 1e-3
+    monkeypatch.setattr(step_limits, name, loose)
+    limits = limits_of(lambda t: ca.sqrt(function(t)), end=2.0000001)
+    assert limits.longest[np.searchsorted(limits.ends, 1.2359)] > 0.02
+
+
+@pytest.mark.parametrize(("terms", "most"), [(64, 64), (65, 2), (640, 64)])
+def test_long_sums_are_few_functions(terms: int, most: int) -> None:
+    """The search evaluates at most 64 terms, so that its memory is bounded."""
+    forces = scene(
+        Torque(lambda s: {"bend": sum(ca.sin(k * s.t) for k in range(1, terms + 1))})
+    ).force_model
+    assert forces is not None
+    assert 1 <= forces.time_functions.count <= most
+
+
+def test_limits_of_a_sum_are_not_those_of_its_faint_terms() -> None:
+    """A term of 1e-6 needs fewer digits than a sum of one."""
+    faint = limits_of(lambda t: ca.sin(5.0 * t) + 1e-6 * ca.sin(60.0 * t)).longest.min()
+    alone = limits_of(lambda t: 1e-6 * ca.sin(60.0 * t)).longest.min()
+    assert faint > 2.0 * alone
+
+
 def test_limits_stop_at_round_off(monkeypatch: pytest.MonkeyPatch) -> None:
     """Late in a run the round-off of time exceeds the tolerance; panels do not chase it."""
     function = lambda t: ca.sin(40.0 * t) + ca.cos(ca.sin(t))  # noqa: E731
@@ -246,7 +345,7 @@ def test_stops_of_limits_separate_no_step_that_is_too_long() -> None:
     """Between stops, and elsewhere with the longest step, all functions are resolved."""
     for order in (16, 3):
         limits = limits_of(lambda t: ca.sin(300 * t) * ca.exp(-(((t - 1) / 0.1) ** 2)), order=order)
-        longest, stops = limits.cheapest()
+        longest, stops = limits.cheapest
         ends = np.append(stops, 2.0)
         starts = np.append(0.0, stops)
         lengths = np.minimum(ends - starts, longest)
@@ -284,7 +383,7 @@ def test_bursts_are_resolved(method: str, monkeypatch: pytest.MonkeyPatch) -> No
         assert np.abs(many.x[0, -1] - expected).max() < 20 * rtol
         flow = pinred.flow(options, wrt=("rate",), of=("x",))
         assert np.abs(flow(rate=400.0).x.ravel() - expected).max() < 20 * rtol
-        never_check(monkeypatch)
+        never_limit(monkeypatch)
         assert np.abs(pinred.simulate(options).x[-1] - expected).max() > 1e4 * rtol
         assert np.abs(flow(rate=400.0 + 1e-13).x.ravel() - expected).max() > 1e4 * rtol
 
@@ -299,8 +398,33 @@ def test_waves_in_time_and_shape_are_resolved(monkeypatch: pytest.MonkeyPatch) -
     options = scene(Torque(wave), method="AdaptiveGauss", rtol=1e-10, atol=1e-12)
     expected = end_by_short_steps(wave, seed=1)
     assert np.abs(pinred.simulate(options).x[-1] - expected).max() < 2e-9
-    never_check(monkeypatch)
+    never_limit(monkeypatch)
     assert np.abs(pinred.simulate(options).x[-1] - expected).max() > 1e-8
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"engine": "pinocchio"}, {"check": True}],
+    ids=["compiled", "pinocchio", "check"],
+)
+def test_steps_are_limited_in_all_runs(
+    options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both engines limit all steps, also in runs that `check` repeats."""
+    found = iter([np.array([0.1]), np.empty(0)] * 2)
+    monkeypatch.setattr(
+        step_resolution, "find_defects", lambda *_: SimpleNamespace(times=next(found))
+    )
+    small = Torque(lambda s: {"bend": 1e-7 * ca.sin(60.0 * s.t)})
+    traj = pinred.simulate(scene(small, method="auto"), **options)
+    forces = traj.plan.forces
+    assert forces is not None
+    limits = step_limits.step_limits(forces, 2.0, forces.numbers, 1e-7, 8)
+    knots = traj.motion.segments.knots
+    assert (np.diff(knots) <= limits.within(knots[:-1], knots[1:]) * (1.0 + 1e-9)).all()
+    never_limit(monkeypatch)
+    free = pinred.simulate(scene(small, method="auto"), **options).motion.segments.knots
+    assert np.diff(free).max() > 2.0 * limits.longest.max()
 
 
 def test_equal_steps_that_miss_functions_are_reported() -> None:
@@ -318,9 +442,9 @@ def test_equal_steps_that_miss_functions_are_reported() -> None:
         pinred.simulate_many(coarse, members={"centre": [1.0, 1.1]})
 
 
-def errors_of(case: fast_torques.Case, method: str, rtol: float) -> float:
+def errors_of(case: timed_torques.Case, method: str, rtol: float) -> float:
     """Return the error of the final shape in tolerances, relative to the growth of errors."""
-    expected, growth = fast_torques.reference(case)
+    expected, growth = timed_torques.reference(case)
     options: dict[str, Any] = {"method": method, "rtol": rtol, "atol": rtol / 100}
     traj = pinred.simulate(case.scene, parameters=case.parameters, **options)
     return float(np.abs(traj.x[-1] - expected).max() / (rtol * max(1.0, growth)))
@@ -333,7 +457,7 @@ TOLERANCES = {"auto": 1e-10, "DOP853": 1e-10, "AdaptiveGauss": 1e-10, "Tsit5": 1
 @pytest.mark.parametrize("block", range(10))
 def test_fast_torques_are_resolved_by_each_method(block: int) -> None:
     """Of 1,000 random torques on four robots, none has an error of 100 tolerances."""
-    for case in fast_torques.cases(100, seed=100 + block):
+    for case in timed_torques.cases(100, seed=100 + block):
         for method, rtol in TOLERANCES.items():
             assert errors_of(case, method, rtol) < 100.0, (case, method)
 
@@ -341,11 +465,11 @@ def test_fast_torques_are_resolved_by_each_method(block: int) -> None:
 @pytest.mark.by_hand
 def test_fast_torques_are_resolved_by_flows_and_batches() -> None:
     """Batches limit their steps before the run; flows check each call."""
-    groups: dict[tuple[str, str], list[fast_torques.Case]] = {}
-    for case in fast_torques.cases(240, seed=11):
+    groups: dict[tuple[str, str], list[timed_torques.Case]] = {}
+    for case in timed_torques.cases(240, seed=11):
         groups.setdefault((case.robot, case.kind), []).append(case)
     for cases in groups.values():
-        references = [fast_torques.reference(case) for case in cases]
+        references = [timed_torques.reference(case) for case in cases]
         names = list(cases[0].parameters)
         members = {name: [case.parameters[name] for case in cases] for name in names}
         for method, rtol in TOLERANCES.items():
@@ -364,14 +488,29 @@ def test_fast_torques_are_resolved_by_flows_and_batches() -> None:
                 assert np.abs(x - expected).max() < 100.0 * rtol * max(1.0, growth)
 
 
+def pulse(s: Any) -> dict[str, Any]:
+    """Return a short torque that is hard for error estimates."""
+    return {"bend": 3.0 * ca.sin(RATE * s.t) * ca.exp(-(((s.t - CENTRE) / WIDTH) ** 2))}
+
+
 def test_step_in_the_flank_of_a_pulse_is_checked_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The error estimate of DOP853 fails in a step that sees the pulse; a third run is shorter."""
-
-    def pulse(s: Any) -> dict[str, Any]:
-        return {"bend": 3.0 * ca.sin(34.0 * s.t) * ca.exp(-(((s.t - 1.1) / 0.033) ** 2))}
-
-    options = scene(Torque(pulse), rtol=1e-10, atol=1e-12, method="auto", seed=2)
-    expected = end_by_short_steps(pulse, seed=2)
+    """The error estimate of DOP853 fails in a step that sees the pulse; a second run is shorter."""
+    values = {"rate": 34.0, "centre": 1.1, "width": 0.033}
+    options = scene(Torque(pulse), rtol=1e-10, atol=1e-12, seed=2, parameters=values)
+    expected = end_by_short_steps(pulse, seed=2, parameters=values)
     assert np.abs(pinred.simulate(options).x[-1] - expected).max() < 2e-10
+    assert np.abs(pinred.simulate_many([options, options]).x[0, -1] - expected).max() < 2e-10
     monkeypatch.setattr(time_resolution, "SHARES", (1.0,))
     assert np.abs(pinred.simulate(options).x[-1] - expected).max() > 1e-8
+    monkeypatch.setattr(integrate_members, "_SHARE", 1.0)
+    assert np.abs(pinred.simulate_many([options, options]).x[0, -1] - expected).max() > 1e-8
+
+
+def test_sum_of_defects_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sum that is a few times larger than the bound is an error of 70 tolerances."""
+    values = {"rate": 46.97977080398951, "centre": 0.6171005539553089, "width": 0.06665264743290232}
+    options = scene(Torque(pulse), rtol=1e-10, atol=1e-12, seed=2, parameters=values)
+    expected = end_by_short_steps(pulse, seed=2, parameters=values)
+    assert np.abs(pinred.simulate(options).x[-1] - expected).max() < 2e-10
+    monkeypatch.setattr(time_resolution, "_DEFECT", 500.0)
+    assert np.abs(pinred.simulate(options).x[-1] - expected).max() > 2e-9

@@ -88,7 +88,7 @@ def integrator(
         """Return the integration over the whole time, which scenes of one structure share."""
         shared: dict[int, _Shared] = once(scene.shared, Integration, dict)
         found = shared.get(id(flow.kernel))
-        if found is None or found.kernel() is not flow.kernel or found.method is not method:
+        if found is None or found.kernel() is not flow.kernel or found.method != method:
             for dropped in [k for k, each in list(shared.items()) if each.kernel() is None]:
                 shared.pop(dropped, None)
             kernel = ref(flow.kernel)

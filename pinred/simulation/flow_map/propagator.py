@@ -115,12 +115,12 @@ class Propagator:
         """
         flow, reports = self.initial(given), self.plan.scene.report_times
         spans, integrations = self._spans_of(flow)
-        solutions = self._solve(flow, spans, integrations, stages=stages)
-        if not self.plan.has_time_functions:
-            return Run(given, flow, spans, solutions)
-        if not self.method.adaptive:
-            for notice in self.plan.notices_of_equal_steps(flow.numbers):
-                warnings.warn(notice, AccuracyWarning, stacklevel=4)
+        resolves = self.plan.has_time_functions
+        if not (resolves and self.method.adaptive):
+            solutions = self._solve(flow, spans, integrations, stages=stages)
+            if resolves:
+                for notice in self.plan.notices_of_equal_steps(flow.numbers):
+                    warnings.warn(notice, AccuracyWarning, stacklevel=4)
             return Run(given, flow, spans, solutions)
 
         def solve(plan: Plan) -> tuple[list[Span], list[Solution]]:
@@ -130,7 +130,7 @@ class Propagator:
             integrations = [self._integration(span, method) for span in spans]
             return spans, self._solve(flow, spans, integrations, stages=stages)
 
-        return Run(given, flow, *resolve_run(self.plan, flow, spans, solutions, solve))
+        return Run(given, flow, *resolve_run(self.plan, flow, spans, solve))
 
     def _solve(
         self,

@@ -16,11 +16,10 @@ from ..plan import Plan, Span
 from ..singular_loops import may_pass_singular_shape, refuse_singular_shapes
 from ..step_limits import step_limits
 from ..time_resolution import (
-    SHARES,
     Steps,
     describe_unresolved,
-    is_unresolved,
     order_of,
+    resolved_runs,
     steps_to_check,
     tolerance_of,
 )
@@ -48,41 +47,34 @@ Solve = Callable[[Plan], tuple[list[Span], list[Solution]]]
 
 
 def resolve_run(
-    plan: Plan,
-    flow: CompiledFlow,
-    spans: list[Span],
-    solutions: list[Solution],
-    solve: Solve,
+    plan: Plan, flow: CompiledFlow, spans: list[Span], solve: Solve
 ) -> tuple[list[Span], list[Solution]]:
-    """Return the spans and solutions of a run, with shorter steps if it skips functions of time.
+    """Return the spans and solutions of a run whose steps resolve all functions of time.
 
     Args:
-        plan: The plan of the scene, with the stops of the run.
+        plan: The plan of the scene.
         flow: The compiled flow of the run.
         spans: Time spans between the stops of the run.
-        solutions: Solution over each span.
         solve: Function from a plan to the spans and solutions of a run.
     Returns:
         Spans and solutions. If a function cannot be resolved, an AccuracyWarning is emitted.
     """
-    if plan.forces is None:
-        return spans, solutions
+    assert plan.forces is not None
     tolerance = tolerance_of(plan, "compiled")
     end, order = plan.scene.end, order_of(plan)
     limits = step_limits(plan.forces, end, flow.numbers, tolerance[0], order)
-    stops = read_only(np.array([span.stop for span in spans]))
-    for share in SHARES:
-        pairs = list(zip(spans, solutions, strict=True))
+    bare = replace(plan, stops=read_only(np.array([span.stop for span in spans])))
+
+    def steps_of(solved: tuple[list[Span], list[Solution]]) -> list[Steps]:
+        pairs = list(zip(*solved, strict=True))
         ends = np.concatenate([np.zeros(1), *(_ends_of(*pair)[1:] for pair in pairs)])
-        chosen = steps_to_check(limits, ends, np.array([span.stop for span in spans]))
-        steps = [_steps_of(*pairs[k]) for k in chosen]
-        if not is_unresolved(limits, steps, flow.rates, tolerance):
-            break
-        limited = replace(plan, stops=stops).limited(*limits.shorter(share).cheapest())
-        spans, solutions = solve(limited)
+        chosen = steps_to_check(limits, ends, np.array([span.stop for span, _ in pairs]))
+        return [_steps_of(flow, *pairs[k]) for k in chosen]
+
+    runs = resolved_runs(limits, tolerance, lambda each: solve(bare.limited(*each)), steps_of)
     if limits.unresolved.size:
         warnings.warn(describe_unresolved(plan, limits.unresolved), AccuracyWarning, stacklevel=5)
-    return spans, solutions
+    return runs[-1]
 
 
 def _ends_of(span: Span, solution: Solution) -> Array:
@@ -92,13 +84,16 @@ def _ends_of(span: Span, solution: Solution) -> Array:
     return ends
 
 
-def _steps_of(span: Span, solution: Solution) -> Steps:
+def _steps_of(flow: CompiledFlow, span: Span, solution: Solution) -> Steps:
     """Return the steps of a solution over a span."""
 
     def at(t: Array) -> Array:
         return solution.at(np.clip(t - span.start, 0.0, solution.knots[-1]))
 
-    return Steps(_ends_of(span, solution), at, solution.params)
+    def rates(t: Array, y: Array) -> Array:
+        return flow.rates(t, y, solution.params)
+
+    return Steps(_ends_of(span, solution), at, rates)
 
 
 def refuse_singular_run(run: Run) -> None:

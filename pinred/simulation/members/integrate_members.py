@@ -172,7 +172,7 @@ def _stops_of_members(
         return method, stops, vary
     settings = method.rtol, method.controlled_order
     all_limits = limits_of_runs(forces, plan.scene.end, numbers[first], *settings, tables[first])
-    limits = [each.shorter(_SHARE).cheapest() for each in all_limits]
+    limits = [each.shorter(_SHARE).cheapest for each in all_limits]
     longest = min(each.longest for each in limits)
     method = replace(method, max_step=min(method.max_step, longest))
     if not any(each.stops.size for each in limits):

@@ -51,7 +51,7 @@ def integrator(
         def rate(t: float, y: Array) -> Array:
             return flow.rate(t, y, parameters)
 
-        solver = DOP853(rate, start, y0, end, rtol=rtol, atol=atol)
+        solver = DOP853(rate, start, y0, end, plan.longest, rtol, atol)
         knots: list[float] = [start]
 
         def lost() -> str:

@@ -1,4 +1,4 @@
-"""Random torques that are fast for a short time: bursts, chirps, bumps, and waves in the shape."""
+"""Torques that are functions of time: random ones, fast for a short time, and ordinary ones."""
 
 from __future__ import annotations
 
@@ -15,10 +15,15 @@ from pinred.common.arrays import Array
 from pinred.forces import Torque
 
 ROBOTS = ("falling_cat", "solo12", "satellite_two_arms", "planar_chain5")
-END = 2.0  # duration of all scenes [s]
+END = 2.0  # duration of scenes with fast torques [s]
+ORDINARY_END = 4.0  # duration of scenes with ordinary torques [s]
+ORDINARY_RATES = (1.0, 5.0, 20.0, 100.0)  # [rad/s]
 _SIZES = {"falling_cat": 1.0, "solo12": 0.3, "satellite_two_arms": 20.0, "planar_chain5": 1.0}
 _SIZE, _CENTRE = Parameter("size", 1.0), Parameter("centre", 1.0)
 _WIDTH, _RATE, _SWEEP = Parameter("width", 0.1), Parameter("rate", 100.0), Parameter("sweep", 0.0)
+
+
+Function = Callable[[ca.SX, ca.SX], ca.SX]
 
 
 def _bump(t: ca.SX) -> ca.SX:
@@ -49,13 +54,22 @@ def _wave(t: ca.SX, x: ca.SX) -> ca.SX:
     return ca.sin(_RATE * t - 3.0 * x) * _bump(t)
 
 
-KINDS: dict[str, Callable[[ca.SX, ca.SX], ca.SX]] = {
+KINDS: dict[str, Function] = {
     "packet": _packet,
     "chirp": _chirp,
     "gaussian": _gaussian,
     "lorentzian": _lorentzian,
     "product": _product,
     "wave": _wave,
+}
+# The first four have a frequency.
+ORDINARY: dict[str, Function] = {
+    "sine": lambda t, _: 0.05 * ca.sin(_RATE * t),
+    "long packet": lambda t, _: 0.05 * ca.sin(_RATE * t) * ca.exp(-(((t - 2.0) / 0.5) ** 2)),
+    "two rates": lambda t, _: 0.05 * ca.sin(_RATE * t) + 0.0005 * ca.sin(3.0 * _RATE * t),
+    "tracking": lambda t, x: 0.015 * ca.sin(_RATE * t) - 0.05 * x,
+    "wide bump": lambda t, _: 0.05 * ca.exp(-(((t - 2.0) / 0.5) ** 2)),
+    "ramp": lambda t, x: 0.05 * ca.tanh(t - 2.0) * ca.cos(x),
 }
 
 
@@ -65,7 +79,7 @@ class Case:
 
     Attributes:
         robot: Name of the robot.
-        kind: Name of the function in KINDS.
+        kind: Name of the function in KINDS or ORDINARY.
         parameters: Values of its parameters.
         scene: The scene, without method and tolerances.
         rate: Largest angular frequency of the torque [rad/s].
@@ -89,11 +103,12 @@ def scene_of(robot: str, kind: str) -> pinred.Scene:
         name = system.shape_names[joint]
 
         def torque(s: Any) -> dict[str, Any]:
-            return {name: _SIZE * KINDS[kind](s.t, s.x[joint])}
+            size = _SIZE if kind in KINDS else _SIZES[robot]
+            return {name: size * (KINDS | ORDINARY)[kind](s.t, s.x[joint])}
 
         start = pinred.simulate(system, seed=2, times=[0.0, 0.01])
         _scenes[robot, kind] = pinred.Scene(
-            system=system, forces=[Torque(torque)], times=[END],
+            system=system, forces=[Torque(torque)], times=[END if kind in KINDS else ORDINARY_END],
             x0=start.x[0], xdot0=start.xdot[0], xi0=start.xi[0],
         )  # fmt: skip
     return _scenes[robot, kind]
@@ -117,6 +132,16 @@ def cases(count: int, seed: int = 0) -> Iterator[Case]:
         scene = scene_of(robot, kind)
         used = {p.name: parameters[p.name] for p in scene.force_model.parameters}
         yield Case(robot, kind, used, scene, 4.0 * rate + 10.0 / width)
+
+
+def ordinary_cases(*robots: str) -> Iterator[Case]:
+    """Yield ordinary torques on robots, on all robots by default."""
+    for robot in robots or ROBOTS:
+        for k, kind in enumerate(ORDINARY):
+            scene = scene_of(robot, kind)
+            for rate in ORDINARY_RATES if k < 4 else (1.0,):
+                parameters = {"rate": rate} if k < 4 else {}
+                yield Case(robot, kind, parameters, scene, 5.0 * rate + 5.0)
 
 
 def reference(case: Case) -> tuple[Array, float]:
