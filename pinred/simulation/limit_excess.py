@@ -123,7 +123,7 @@ def excess_notice(plan: Plan, motion: Motion, states: ShapeState | State) -> str
     Args:
         plan: The plan of the scene.
         motion: The motion.
-        states: Its states at the report times, which are searched first.
+        states: Its states at the report times, which are compared.
     Returns:
         The sentence.
     """
@@ -138,12 +138,11 @@ def excess_notice(plan: Plan, motion: Motion, states: ShapeState | State) -> str
             efforts = _efforts(plan, motion, few)
     if not _any_beyond(system, states, efforts):
         return ""
-    beyond = [use for use in _uses(system, states, few, efforts) if use.excess]
-    names = frozenset((use.limit.joint, use.limit.kind) for use in beyond)
+    uses = LimitTable(tuple(_uses(system, states, few, efforts))).exceeded
+    names = frozenset((use.limit.joint, use.limit.kind) for use in uses)
     first = object()
     if not names or once(nominal(system), (LimitUse, names), lambda: first) is not first:
         return ""
-    uses = limit_table(plan, motion).exceeded
     words = [
         f"{use.limit.kind} of {use.limit.joint} by {use.excess:.3g} {use.unit} at t = {use.t:.3g} s"
         for use in uses
