@@ -39,6 +39,8 @@ _STIFF = 1.0
 _SETTLED = 0.01  # time after which decaying errors count, relative to the duration
 _SUSPECT = 0.1  # residual above which a stiff step is solved, in tolerances
 _FINER = 0.01  # local tolerance of ABA's solution of a stiff step, in tolerances of the scene
+# Product of spectral radius and duration above which a motion is fast.
+_FAST = 30.0
 _TAIL = 8  # degree of the first Legendre polynomial that DOP853 cannot integrate
 
 
@@ -248,6 +250,27 @@ def unresolved_forces(traj: Trajectory, full: FullState, suspect: NDArray[np.boo
         tail = np.abs(coefficients[_TAIL:] @ rates).sum(axis=0)
         impulses[k] = ((b - a) * tail / units).max()
     return impulses
+
+
+def are_fast(traj: Trajectory, full: FullState, suspect: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return in which steps some motion is fast compared with the duration.
+
+    Args:
+        traj: The trajectory.
+        full: Full simulation of its scene.
+        suspect: Which steps of `compute_defects` to evaluate, (S,).
+    Returns:
+        Whether the spectral radius of ABA's Jacobian times the duration is large, (S,); false for
+        steps that are not evaluated.
+    """
+    steps, fast = _sampled_steps(traj, _MOST_STEPS), np.zeros(len(suspect), dtype=bool)
+    units = defect_units(traj, full)[0]
+    for k in np.flatnonzero(suspect):
+        start = traj.motion.knots[steps[k] : steps[k] + 1]
+        full.set_parameters(traj.motion.numbers(start)[0])
+        J = full.jacobian(float(start[0]), full_states(traj, full, start)[0], units)
+        fast[k] = spectral_radius(J) * traj.scene.end > _FAST
+    return fast
 
 
 def _propagate_error(J: Array, error: Array, time: float, units: Array) -> Array:

@@ -328,15 +328,18 @@ def test_report_is_true_if_passed() -> None:
 
 def test_closest_defect_depends_on_forces_and_mean() -> None:
     """Steps with fast forces may have 100 tolerances, and 3 impulses, if the mean is at most 3."""
-    steps, impulses = np.full(200, 0.01), np.zeros(200)
-    assert closest_defect(steps, impulses, 2.0) == (0.01, 6.0)
+    steps, impulses, fast = np.full(200, 0.01), np.zeros(200), np.zeros(200, dtype=bool)
+    assert closest_defect(steps, impulses, fast, 2.0) == (0.01, 6.0)
     steps[7], impulses[7] = 80.0, 25.0
-    assert closest_defect(steps, impulses, 2.0) == (80.0, 75.0)
+    assert closest_defect(steps, impulses, fast, 2.0) == (80.0, 75.0)
     impulses[7] = 1e3
-    assert closest_defect(steps, impulses, 2.0) == (80.0, 200.0)
+    assert closest_defect(steps, impulses, fast, 2.0) == (80.0, 200.0)
     steps[8] = 6.1
-    assert closest_defect(steps, impulses, 2.0) == (6.1, 6.0)
-    assert closest_defect(np.full(200, 6.1), np.full(200, 1e3), 2.0) == (6.1, 6.0)
+    assert closest_defect(steps, impulses, fast, 2.0) == (6.1, 6.0)
+    steps[8], fast[8] = 19.0, True
+    assert closest_defect(steps, impulses, fast, 2.0) == (19.0, 20.0)
+    many = np.full(200, 6.1)
+    assert closest_defect(many, np.full(200, 1e3), many > 0.0, 2.0) == (6.1, 6.0)
 
 
 @pytest.mark.parametrize("size", [5.0, 20.0])

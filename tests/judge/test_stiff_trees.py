@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
-from stiff_study import AGREES, planted_fault, scipy_difference, study
+from stiff_study import AGREES, _changed, planted_fault, scipy_difference, study
 from stiff_trees import stiff_tree
 
 import pinred
@@ -21,6 +24,29 @@ def test_verdict_on_stiff_tree_and_on_planted_fault(seed: int) -> None:
     about, outcome, report, kind, fault = study(seed)
     assert "contradicted" not in outcome, f"{about}: {report}"
     assert fault.verdict == "FAILED", f"{about}, {kind}: {fault}"
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_error_between_report_times_cannot_tell() -> None:
+    """Dense output of DOP853 is wrong by 4e-7 in a step 20 times as long as the fastest decay."""
+    scene = stiff_tree(104).scene
+    report = pinred.compare(pinred.simulate(scene))
+    assert report.verdict == "CANNOT TELL", str(report)
+    assert "between report times" in report.reasons[0]
+    traj = pinred.simulate(scene, times=np.linspace(0.0, scene.end, 101))
+    assert pinred.compare(traj).verdict == "FAILED"
+    wrong = replace(scene, forces=[_changed(force, 1.0 + 1e-6) for force in scene.forces])
+    assert pinred.compare(pinred.Trajectory(wrong, traj.motion, traj.run)).verdict == "FAILED"
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_step_with_fast_motion_may_exceed_bound() -> None:
+    """The rate of a light tip with a decay of 141/s has steps with 3.7 tolerances."""
+    traj = pinred.simulate(stiff_tree(153).scene)
+    report = pinred.compare(traj)
+    assert report.passed, str(report)
+    assert compute_defects(traj, FullState(traj.scene)).worst > 1.1 * 3.0 * 1.01e-10
+    assert scipy_difference(traj) < 1e-10
 
 
 @pytest.mark.parametrize("seed", [4, 47])
