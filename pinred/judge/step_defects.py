@@ -209,7 +209,7 @@ def solve_stiff_steps(
         errors = np.maximum(np.abs(errors) - noise * sizes, 0.0)
         of_steps[k] = min(of_steps[k], decay[-1].max())
         decaying[:, k] = decay[:, :first_rate].max(), decay[0, first_rate:].max()
-        of_motion[k] = min(of_motion[k], (lasting / motion_sizes).max())
+        of_motion[k] = (lasting / motion_sizes).max()
         within[k] = (errors / sizes).max()
         within_motion[k] = (errors / motion_sizes).max()
     stiff = replace(
