@@ -15,6 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
+from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from ..common.arrays import Array
@@ -38,6 +39,9 @@ _STIFF = 1.0
 _SETTLED = 0.01  # time after which decaying errors count, relative to the duration
 _SUSPECT = 0.1  # residual above which a stiff step is solved, in tolerances
 _FINER = 0.01  # local tolerance of ABA's solution of a stiff step, in tolerances of the scene
+# Product of spectral radius and duration above which a motion is fast.
+_FAST = 30.0
+_TAIL = 8  # degree of the first Legendre polynomial that DOP853 cannot integrate
 
 
 @dataclass(frozen=True)
@@ -58,8 +62,6 @@ class Defects:
             by their effect on its end, even if they cancel in the integral.
         motion_subintervals: The same for subintervals, (S,).
         round_off_rate: Rate at which round-off of ABA itself perturbs the motion [1/s].
-        with_decay: Errors of steps before they decay, (S,). Only in stiff steps they differ from
-            `steps`.
     """
 
     steps: Array
@@ -68,12 +70,26 @@ class Defects:
     motion_steps: Array
     motion_subintervals: Array
     round_off_rate: float
-    with_decay: Array
 
     @property
     def worst(self) -> float:
         """Largest defect of a smooth step; NaN if any such defect is NaN."""
         return float(self.steps[self.smooth].max(initial=0.0))
+
+
+@dataclass(frozen=True)
+class DecayingErrors:
+    """Relative errors of stiff steps before they decay; kinks of forces do not count.
+
+    Attributes:
+        steps: Number of stiff steps.
+        coordinates: Largest error of a coordinate at the end of a stiff step, or while it decays.
+        rates: Largest error of a rate at the end of a stiff step.
+    """
+
+    steps: int = 0
+    coordinates: float = 0.0
+    rates: float = 0.0
 
 
 def largest_defect(
@@ -138,14 +154,14 @@ def _without_kinks(traj: Trajectory, defects: Defects) -> Defects:
 
 def solve_stiff_steps(
     traj: Trajectory, full: FullState, defects: Defects, tolerance: float
-) -> tuple[Defects, int]:
+) -> tuple[Defects, DecayingErrors]:
     """Replace the defects of stiff steps by their errors against ABA's own solution of the step.
 
     In a stiff step of length h, an error w of a state between the step ends contributes h J w to
     the defect, although it decays. There, ABA is integrated from the start of the step by an
     implicit method. The error of the step is the difference at its end. `steps` is what the
     linearised ABA dynamics leave of it after a small fraction of the duration, or at the end of the
-    motion if that comes first. `with_decay` is the whole error.
+    motion if that comes first.
 
     Args:
         traj: The trajectory.
@@ -153,12 +169,11 @@ def solve_stiff_steps(
         defects: Result of `compute_defects` with the default number of steps.
         tolerance: Sum of relative and absolute tolerance.
     Returns:
-        The defects and the number of stiff steps. The defects of other steps are unchanged.
+        The defects, and the errors of stiff steps before they decay. The defects of other steps are
+        unchanged.
     Raises:
         AbaStopped: A step cannot be integrated, or not within the budget.
     """
-    from scipy.linalg import expm  # its import takes longer than most comparisons
-
     steps = _sampled_steps(traj, _MOST_STEPS)
     a, b = traj.motion.knots[steps], traj.motion.knots[steps + 1]
     sizes, motion_sizes = defect_units(traj, full)
@@ -166,13 +181,13 @@ def solve_stiff_steps(
     times = np.column_stack([a, inside, b]).ravel()
     courses = full_states(traj, full, times).reshape(len(steps), len(NODES) + 1, -1)
     parameters = traj.motion.numbers(0.5 * (a + b))
-    of_steps, of_motion, within, within_motion, with_decay = (
+    of_steps, of_motion, within, within_motion = (
         values.copy()
         for values in (
             defects.steps, defects.motion_steps, defects.subintervals, defects.motion_subintervals,
-            defects.with_decay,
         )
     )  # fmt: skip
+    decaying, first_rate = np.zeros((2, len(of_steps))), traj.system.group.size + full.coordinates
     count, settled = 0, _SETTLED * traj.scene.end
     # Small residuals need no second measurement.
     suspect = ~(np.maximum(defects.steps, defects.motion_steps) <= _SUSPECT * tolerance)
@@ -187,11 +202,13 @@ def solve_stiff_steps(
             course[0], (start, end), inside[k], _FINER * tolerance, sizes
         )
         errors = course[1:] - solved
-        decay = expm(min(settled, traj.scene.end - end) * J)
-        lasting = np.maximum(np.abs(decay @ errors[-1]) - noise * sizes, 0.0)
+        time = min(settled, traj.scene.end - end)
+        decay = np.abs(_propagate_error(J, errors[-1] / sizes, time, sizes))
+        decay = np.maximum(decay - noise, 0.0)
+        lasting = decay[-1] * sizes
         errors = np.maximum(np.abs(errors) - noise * sizes, 0.0)
-        of_steps[k] = min(of_steps[k], (lasting / sizes).max())
-        with_decay[k] = max(of_steps[k], (errors[-1] / sizes).max())
+        of_steps[k] = min(of_steps[k], decay[-1].max())
+        decaying[:, k] = decay[:, :first_rate].max(), decay[0, first_rate:].max()
         of_motion[k] = (lasting / motion_sizes).max()
         within[k] = (errors / sizes).max()
         within_motion[k] = (errors / motion_sizes).max()
@@ -201,9 +218,86 @@ def solve_stiff_steps(
         subintervals=within,
         motion_steps=of_motion,
         motion_subintervals=within_motion,
-        with_decay=with_decay,
     )
-    return _without_kinks(traj, stiff), count
+    stiff = _without_kinks(traj, stiff)
+    coordinates, rates = decaying[:, stiff.smooth].max(axis=1, initial=0.0)
+    return stiff, DecayingErrors(count, float(coordinates), float(rates))
+
+
+def unresolved_forces(traj: Trajectory, full: FullState, suspect: NDArray[np.bool_]) -> Array:
+    """Return the impulses of forces that change too quickly for the error estimate of a step.
+
+    The rates of ABA at the state in the middle of the step, as functions of time, are expanded in
+    Legendre polynomials. The impulse is that of the polynomials which DOP853 cannot integrate.
+
+    Args:
+        traj: The trajectory.
+        full: Full simulation of its scene.
+        suspect: Which steps of `compute_defects` to evaluate, (S,).
+    Returns:
+        Relative impulses of steps, (S,); zero for the others, and without functions of time.
+    """
+    steps, impulses = _sampled_steps(traj, _MOST_STEPS), np.zeros(len(suspect))
+    units = defect_units(traj, full)[0]
+    nodes, weights = legendre.leggauss(2 * _TAIL)
+    degrees = np.arange(2 * _TAIL)
+    coefficients = (weights[:, None] * legendre.legvander(nodes, degrees[-1]) * (degrees + 0.5)).T
+    for k in np.flatnonzero(suspect):
+        a, b = traj.motion.knots[steps[k] : steps[k] + 2]
+        times = 0.5 * (a + b) + 0.5 * (b - a) * nodes
+        y = np.tile(full_states(traj, full, 0.5 * np.array([a + b])), (len(times), 1))
+        rates = full.rates(times, y, traj.motion.numbers(times))
+        tail = np.abs(coefficients[_TAIL:] @ rates).sum(axis=0)
+        impulses[k] = ((b - a) * tail / units).max()
+    return impulses
+
+
+def are_fast(traj: Trajectory, full: FullState, suspect: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return in which steps some motion is fast compared with the duration.
+
+    Args:
+        traj: The trajectory.
+        full: Full simulation of its scene.
+        suspect: Which steps of `compute_defects` to evaluate, (S,).
+    Returns:
+        Whether the spectral radius of ABA's Jacobian times the duration is large, (S,); false for
+        steps that are not evaluated.
+    """
+    steps, fast = _sampled_steps(traj, _MOST_STEPS), np.zeros(len(suspect), dtype=bool)
+    units = defect_units(traj, full)[0]
+    for k in np.flatnonzero(suspect):
+        start = traj.motion.knots[steps[k] : steps[k] + 1]
+        full.set_parameters(traj.motion.numbers(start)[0])
+        J = full.jacobian(float(start[0]), full_states(traj, full, start)[0], units)
+        fast[k] = spectral_radius(J) * traj.scene.end > _FAST
+    return fast
+
+
+def _propagate_error(J: Array, error: Array, time: float, units: Array) -> Array:
+    """Propagate an error by linear dynamics.
+
+    Args:
+        J: Jacobian of the rates of the state, (n, n).
+        error: Error in these units, (n,).
+        time: Time [s].
+        units: Units of the numbers in a state, (n,).
+    Returns:
+        The errors after 0, time/2ᴷ, …, time/2 and time, (K + 2, n), where time/2ᴷ times the norm of
+        the Jacobian is at most 1. Without a finite Jacobian, errors are constant.
+    """
+    from scipy.linalg import expm  # its import takes longer than most comparisons
+
+    move = time * J * units / units[:, None]
+    norm = float(np.abs(move).sum(axis=1).max())
+    if not norm < np.inf:
+        return error[None]
+    halvings = int(np.ceil(np.log2(max(norm, 1.0))))
+    propagator, errors = expm(move * 0.5**halvings), [error]
+    with np.errstate(all="ignore"):
+        for _ in range(halvings + 1):
+            errors.append(propagator @ error)
+            propagator = propagator @ propagator
+    return np.array(errors)
 
 
 def _defects_of_steps(
@@ -233,7 +327,6 @@ def _defects_of_steps(
     relative = (of_steps / sizes).max(axis=1)
     return Defects(
         steps=relative,
-        with_decay=relative,
         subintervals=np.maximum.reduceat((missed / sizes).max(axis=1), first),
         smooth=np.ones(len(steps), dtype=bool),
         motion_steps=(np.maximum(of_steps, propagated) / motion_sizes).max(axis=1),

@@ -68,6 +68,8 @@ class Report(FrozenArrays):
             loops.
         loop_rate: Largest rate of the violation of a closed loop, relative to that of an open tree
             at the same speed; None without loops.
+        rate_error: Largest relative error of a rate at the ends of stiff steps and at the times of
+            the comparison; 0 without stiff steps. Only errors at report times are judged.
     """
 
     robot: str
@@ -103,6 +105,7 @@ class Report(FrozenArrays):
     left_out: str = ""
     loop_gap: float | None = None
     loop_rate: float | None = None
+    rate_error: float = 0.0
 
     @property
     def shape_error(self) -> float:
@@ -182,6 +185,8 @@ class Report(FrozenArrays):
             for name, (value, bound) in self.checks.items()
         ]
         rows += [f"  {'growth of perturbations':<31} {self.growth[-1]:10.2e}"]
+        if self.rate_error:
+            rows += [f"  {'rate error [relative]':<31} {self.rate_error:10.2e}"]
         rows.append(
             f"  {'wall time [s]':<31} {self.wall_reduced:10.5f} reduced ({self.engine}), "
             f"{self.wall_full:.3f} full (ABA called from Python)"
@@ -206,6 +211,7 @@ class Report(FrozenArrays):
             *([line(self.left_out)] if self.left_out else []),
             table("", ["", "value", "allowed", ""], rows),
             line(f"growth of perturbations: {self.growth[-1]:.2e}"),
+            *([line(f"rate error: {self.rate_error:.2e}")] if self.rate_error else []),
             line(
                 f"wall time: {self.wall_reduced:.5f} s reduced ({self.engine}), "
                 f"{self.wall_full:.3f} s full (ABA called from Python)"

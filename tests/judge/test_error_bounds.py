@@ -152,7 +152,7 @@ def compare_with_defects(
     own: ratio of defects in units of the motion.  blurred: round-off of ABA [1/s].
     """
     both = np.full(9, steps), np.full(9, inside)
-    defects = Defects(*both, np.ones(9, dtype=bool), own * both[0], own * both[1], blurred, both[0])
+    defects = Defects(*both, np.ones(9, dtype=bool), own * both[0], own * both[1], blurred)
     monkeypatch.setattr(judge, "compute_defects", lambda *_: defects)
     monkeypatch.setattr(
         FullState, "growth", lambda _full, _y0, _motion, times, *_: growth + np.zeros(len(times))
@@ -227,7 +227,7 @@ def test_defects_at_kinks_do_not_loosen_the_bound(kinked: float, most: float) ->
     traj: Any = SimpleNamespace(motion=SimpleNamespace(knots=knots))
     smooth = np.arange(10) != 4
     steps = np.where(smooth, 1e-12, kinked)
-    defects = Defects(steps, 7.0 * steps, smooth, 2.0 * steps, 9.0 * steps, 0.0, steps)
+    defects = Defects(steps, 7.0 * steps, smooth, 2.0 * steps, 9.0 * steps, 0.0)
     times, size = np.array([0.0, 1.0]), Size(joints=np.ones(1), position=1.0, away=0.0)
     bounds = compute_error_bounds(
         traj, times, np.array([1.0, 5.0]), defects, np.zeros(2), size, TOLERANCE
@@ -333,7 +333,7 @@ def test_error_bound_without_defects_is_round_off() -> None:
     times, steps = np.array([0.0, 0.25, 0.5 + 1e-9, 1.0]), np.array([0, 256, 513, 1024])
     growth, between = np.array([1.0, 2.0, 3.0, 50.0]), np.array([0.0, 4e-13, 1e-13, 2e-13])
     none = np.zeros(3)
-    defects = Defects(none, none, np.ones(3, dtype=bool), none, none, 3e-13, none)
+    defects = Defects(none, none, np.ones(3, dtype=bool), none, none, 3e-13)
     size = Size(joints=np.array([2.0, 5.0]), position=3.0, away=7e3)
     bounds = compute_error_bounds(traj, times, growth, defects, between, size, TOLERANCE)
     differences = np.array([0.0, 4e-13, 4e-13, 4e-13])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import casadi
@@ -18,7 +19,7 @@ from pinred.common.arrays import Array
 from pinred.judge import step_defects as module
 from pinred.judge.quadrature import Quadrature, growth_over
 from pinred.judge.reference_solution import FullState
-from pinred.judge.step_defects import Defects, compute_defects, largest_defect
+from pinred.judge.step_defects import Defects, _sampled_steps, compute_defects, largest_defect
 from pinred.laboratory.stress.generated_robots import single
 
 RTOL, ATOL, END = 1e-9, 1e-11, 0.5
@@ -352,6 +353,16 @@ def test_defects_use_at_most_200_steps() -> None:
     assert compute_defects(cat(RTOL), full).steps.shape == (count,)
 
 
+def test_last_step_is_always_sampled() -> None:
+    """Errors of the last step have no time to decay; the random choice of 3000 steps misses it."""
+    knots = np.arange(3001.0)
+    traj: Any = SimpleNamespace(motion=SimpleNamespace(knots=knots))
+    steps = _sampled_steps(traj, 200)
+    assert steps[-1] == 2999
+    assert (np.diff(steps) > 0).all()
+    assert len(steps) == 200
+
+
 @pytest.mark.parametrize("kinks", [True, False])
 def test_steps_with_kinks_are_not_smooth(monkeypatch: pytest.MonkeyPatch, kinks: bool) -> None:
     """The threshold is ten times the median, only for forces with kinks; NaN is never excluded."""
@@ -360,7 +371,7 @@ def test_steps_with_kinks_are_not_smooth(monkeypatch: pytest.MonkeyPatch, kinks:
     steps = np.array([2.0, 2.0, 2.0, 19.8, 20.2])
 
     def made(*_: object, **__: object) -> Defects:
-        return Defects(steps, steps, np.ones(5, dtype=bool), steps, steps, 0.0, steps)
+        return Defects(steps, steps, np.ones(5, dtype=bool), steps, steps, 0.0)
 
     monkeypatch.setattr(module, "_defects_of_steps", made)
     scene = pinred.Scene(system=system, duration=0.1, xdot0=[1.0], forces=acting)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
-from stiff_study import AGREES, scipy_difference, study
+from stiff_study import AGREES, _changed, planted_fault, scipy_difference, study
 from stiff_trees import stiff_tree
 
 import pinred
+from pinred.judge.reference_solution import FullState
+from pinred.judge.step_defects import compute_defects
 
 
 @pytest.mark.slow
@@ -15,10 +20,43 @@ import pinred
     "seed", [pytest.param(k, marks=() if k < 4 else pytest.mark.by_hand) for k in range(300)]
 )
 def test_verdict_on_stiff_tree_and_on_planted_fault(seed: int) -> None:
-    """No FAILED without a fault that SciPy's Radau confirms; FAILED for the fault."""
+    """SciPy's Radau contradicts no verdict on the motion, and the fault is FAILED."""
     about, outcome, report, kind, fault = study(seed)
     assert "contradicted" not in outcome, f"{about}: {report}"
     assert fault.verdict == "FAILED", f"{about}, {kind}: {fault}"
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_error_between_report_times_cannot_tell() -> None:
+    """Dense output of DOP853 is wrong by 4e-7 in a step 20 times as long as the fastest decay."""
+    scene = stiff_tree(104).scene
+    report = pinred.compare(pinred.simulate(scene))
+    assert report.verdict == "CANNOT TELL", str(report)
+    assert "between report times" in report.reasons[0]
+    traj = pinred.simulate(scene, times=np.linspace(0.0, scene.end, 101))
+    assert pinred.compare(traj).verdict == "FAILED"
+    wrong = replace(scene, forces=[_changed(force, 1.0 + 1e-6) for force in scene.forces])
+    assert pinred.compare(pinred.Trajectory(wrong, traj.motion, traj.run)).verdict == "FAILED"
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_step_with_fast_motion_may_exceed_bound() -> None:
+    """The rate of a light tip with a decay of 141/s has steps with 3.7 tolerances."""
+    traj = pinred.simulate(stiff_tree(153).scene)
+    report = pinred.compare(traj)
+    assert report.passed, str(report)
+    assert compute_defects(traj, FullState(traj.scene)).worst > 1.1 * 3.0 * 1.01e-10
+    assert scipy_difference(traj) < 1e-10
+
+
+@pytest.mark.parametrize("seed", [4, 47])
+@pytest.mark.filterwarnings("ignore")
+def test_planted_jumps_exceed_tolerance(seed: int) -> None:
+    """An offset of a coordinate, and a jump of a rate with a unit of 1e4 rad/s."""
+    traj = pinred.simulate(stiff_tree(seed).scene)
+    _, wrong = planted_fault(traj, seed)
+    steps = compute_defects(wrong, FullState(wrong.scene), max_steps=100_000).steps
+    assert 1e-6 < 1.01 * steps[(len(steps) + 1) // 2 - 1] < 1e-3
 
 
 @pytest.mark.filterwarnings("ignore")
