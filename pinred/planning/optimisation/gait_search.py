@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,8 +11,8 @@ from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift
 from ...analysis.phases.phase import Phase, phase
 from ...common.arrays import Array
-from .limit_checks import LimitedLoop, first_checks
-from .nonlinear_program import Minimum, minimum
+from .limit_checks import LimitedLoop, Times, first_checks
+from .nonlinear_program import Minimum, minimum, sharpened
 from .objective import TargetAim, cost_of
 from .transcription import Path, Task, fourier_path, problem_of
 
@@ -19,8 +20,10 @@ _PIECES = 2  # number of quadrature segments of order 16 per (harmonics + 3)
 RESIDUAL = 1e-4  # largest relative KKT residual of an accepted optimum
 _PHASE_ERROR = 1e-6  # largest difference between sampled and transcribed phase [rad | m]
 _BOX = 0.1  # first box around a start, if torques make its limits strongly nonlinear [rad | m]
+_NEARBY = 0.2  # first box around the loop of an earlier round, relative to the loop
 _MISSED = 1e-4  # smallest deviation of a target that is out of reach [rad | m]
 _ROUNDS = 20  # largest number of rounds, each with checks at the peaks of the previous loop
+_EQUAL = 1e-8  # relative difference of objectives of equal loops
 _TIMES = 512  # number of times at which rotation vectors of balls are checked
 
 
@@ -53,16 +56,18 @@ class Search:
     task: Task
     path: Path
 
-    def optimise_from(self, gait: Gait, *, most: int = 1000) -> Minimum:
+    def optimise_from(self, gait: Gait, *, most: int = 1000, radius: float = np.inf) -> Minimum:
         """Find the optimum near a Fourier gait.
 
         Args:
             gait: A gait with at most as many harmonics as the paths.
             most: Maximum number of iterations.
+            radius: Half width of the first box around the gait.
         Returns:
             The optimum, if the search converged.
         """
-        radius = _BOX if np.isfinite(self.task.limits.torque).any() else np.inf
+        if np.isfinite(self.task.limits.torque).any():
+            radius = min(radius, _BOX)
         problem = problem_of(self.task, self.path)
         return minimum(problem, self.unknowns(gait), most=most, radius=radius)
 
@@ -74,6 +79,11 @@ class Search:
     def coefficients(self, z: Array) -> Array:
         """Return the path coefficients, (K, m), for the unknowns z of the optimisation."""
         return self.path.coefficients(z[: self.path.size])
+
+    def peaks_beyond(self, z: Array) -> Times:
+        """Return the peaks beyond limits of the loop with the unknowns z of the optimisation."""
+        task, c, T = self.task, self.coefficients(z), self.gait(z).period
+        return LimitedLoop(task.connection, task.limits, c, T).peaks_beyond()
 
     def gait(self, z: Array) -> Gait:
         """Return the Fourier gait for the unknowns z of the optimisation."""
@@ -104,27 +114,60 @@ def fourier_path_of(
     return replace(path, checks=first_checks(task.limits, harmonics), action=action)
 
 
-def finish(search: Search, gait: Gait, *, most: int = 1000) -> tuple[Search, Minimum]:
+@dataclass(frozen=True, eq=False)
+class End:
+    """The end of a search.
+
+    Attributes:
+        search: The search with the checks of the last round.
+        best: Its optimum.
+        objectives: Objectives of the optima of all rounds.
+    """
+
+    search: Search
+    best: Minimum
+    objectives: tuple[float, ...]
+
+
+def finish(
+    search: Search,
+    gait: Gait,
+    *,
+    most: int = 1000,
+    sharp: bool = True,
+    known: Sequence[End] = (),
+) -> End:
     """Find the optimum near a Fourier gait whose peaks between checks are within the limits.
 
     Args:
         search: The search.
         gait: The gait.
         most: Maximum number of iterations of each round.
+        sharp: Whether Newton's method improves the optimum of the last round.
+        known: Ends of searches for the same task from other gaits.
     Returns:
-        The search with the checks of the last round, and its optimum.
+        The end of the search; a known one, if its objective was equal after as many rounds.
     Raises:
         StartFailed: The loop exceeds limits.
     """
     task = search.task
-    for _ in range(_ROUNDS):
-        best = search.optimise_from(gait, most=most)
-        gait, c = search.gait(best.z), search.coefficients(best.z)
-        beyond = LimitedLoop(task.connection, task.limits, c, gait.period).peaks_beyond()
-        checks = search.path.checks
+    objectives: list[float] = []
+    for k in range(_ROUNDS):
+        radius = np.inf
+        if objectives:  # the loop of the last round is near the optimum
+            radius = _NEARBY * float(np.abs(best.z).max())
+        best = search.optimise_from(gait, most=most, radius=radius)
+        objectives.append(best.value)
+        for end in known:
+            if np.isclose(end.objectives[k : k + 1], best.value, rtol=_EQUAL, atol=0.0).any():
+                return end
+        if sharp and not len(search.peaks_beyond(best.z).s):
+            best = sharpened(problem_of(task, search.path), best)
+        gait, beyond, checks = search.gait(best.z), search.peaks_beyond(best.z), search.path.checks
         if checks is None or not len(beyond.s):
-            return search, best
-        search = Search(task, replace(search.path, checks=checks.refined(beyond, c)))
+            return End(search, best, tuple(objectives))
+        refined = checks.refined(beyond, search.coefficients(best.z))
+        search = Search(task, replace(search.path, checks=refined))
     raise StartFailed("the loop still exceeds its limits")
 
 
@@ -149,14 +192,14 @@ def check_target(task: Task, path: Path, gait: Gait) -> None:
         values, slopes = problem.evaluate(z)
         errors, by_z = values[1:k], slopes[1:k]
         return (
-            np.append(0.5 * errors @ errors, values[k:]), np.vstack([errors @ by_z, slopes[k:]])
+            np.append(0.5 * (errors @ errors + _MISSED**2), values[k:]), np.vstack([errors @ by_z, slopes[k:]])
         )  # fmt: skip
 
     nearest = replace(
         problem, evaluate=evaluate, lower=problem.lower[k - 1 :], upper=problem.upper[k - 1 :]
     )
-    values = nearest.at(minimum(nearest, search.unknowns(gait)).z)[0]
-    deviation = float(np.sqrt(2.0 * values[0]))
+    z = minimum(nearest, search.unknowns(gait)).z
+    deviation = float(np.linalg.norm(problem.at(z)[0][1:k]))
     if not deviation <= _MISSED:
         raise TargetMissed(deviation)
 

@@ -19,6 +19,7 @@ from ...common.progress import Progress, shown
 from .best_gait import BestGait, Optimum, group_optima
 from .gait_search import (
     RESIDUAL,
+    End,
     Search,
     StartFailed,
     TargetMissed,
@@ -28,7 +29,7 @@ from .gait_search import (
     measure,
 )
 from .limits import LimitsLike, limits_of, margins, require_two_joints
-from .nonlinear_program import Minimum, minimum
+from .nonlinear_program import Minimum, minimum, sharpened
 from .objective import (
     AIMS,
     AimKind,
@@ -160,6 +161,7 @@ def optimise_gait(
         whole(harmonics, "harmonics"), whole(starts, "starts"), whole(seed, "seed", 0)
     )  # fmt: skip
     optima: list[Optimum] = []
+    known: list[End] = []
     failures: list[Exception] = []
     with shown(progress, "gaits") as report:
         for k in range(starts):
@@ -169,7 +171,7 @@ def optimise_gait(
                     optima.append(_optimise_polygon(task, vertices, rng))
                 else:
                     change = _PERTURBATIONS[min(k, 1)]
-                    optima.append(_optimise_fourier(task, harmonics, winding, rng, change))
+                    optima.append(_optimise_fourier(task, harmonics, winding, rng, change, known))
             except (StartFailed, SingularInertiaError, IntegrationError) as error:
                 failures.append(error)
             if report is not None:
@@ -255,7 +257,12 @@ def _check_loops(task: Task, vertices: int | None, winding: int | None) -> None:
 
 
 def _optimise_fourier(
-    task: Task, harmonics: int, winding: int | None, rng: np.random.Generator, change: float
+    task: Task,
+    harmonics: int,
+    winding: int | None,
+    rng: np.random.Generator,
+    change: float,
+    known: list[End],
 ) -> Optimum:
     """Return the optimum reached from a random ellipse.
 
@@ -265,6 +272,7 @@ def _optimise_fourier(
         winding: Winding number 1, or None for any.
         rng: Random numbers.
         change: Relative perturbation before the last stage.
+        known: Ends of the searches from other ellipses, to which this one is added.
     Returns:
         The optimum.
     Raises:
@@ -285,7 +293,10 @@ def _optimise_fourier(
         y = z[: search.path.size]  # the loop without its period, which stays positive
         y += change * np.abs(y).max() * rng.uniform(-1.0, 1.0, len(y))
         gait = search.gait(z)
-    search, best = finish(search, gait)
+    end = finish(search, gait, known=known)
+    if end not in known:
+        known.append(end)
+    search, best = end.search, end.best
     gait = search.gait(best.z)
     turns = None
     if m == 2:
@@ -352,6 +363,6 @@ def _optimise_polygon(task: Task, vertices: int, rng: np.random.Generator) -> Op
         lower=np.concatenate([problem.lower, low, np.zeros(vertices)]),
         upper=np.concatenate([problem.upper, high, np.full(vertices, np.inf)]),
     )  # fmt: skip
-    best = minimum(problem, y)
+    best = sharpened(problem, minimum(problem, y))
     gait = polygon_gait(path, best.z, task.period)
     return _verify(Search(task, path), best, gait, _winding(gait))
