@@ -56,20 +56,23 @@ class Search:
     task: Task
     path: Path
 
-    def optimise_from(self, gait: Gait, *, most: int = 1000, radius: float = np.inf) -> Minimum:
+    def optimise_from(
+        self, gait: Gait, *, most: int = 1000, radius: float = np.inf, once: bool = False
+    ) -> Minimum:
         """Find the optimum near a Fourier gait.
 
         Args:
             gait: A gait with at most as many harmonics as the paths.
             most: Maximum number of iterations.
             radius: Half width of the first box around the gait.
+            once: Whether the search ends after one successful run.
         Returns:
             The optimum, if the search converged.
         """
         if np.isfinite(self.task.limits.torque).any():
             radius = min(radius, _BOX)
         problem = problem_of(self.task, self.path)
-        return minimum(problem, self.unknowns(gait), most=most, radius=radius)
+        return minimum(problem, self.unknowns(gait), most=most, radius=radius, once=once)
 
     def unknowns(self, gait: Gait) -> Array:
         """Return the unknowns z of the optimisation for a Fourier gait."""
@@ -156,13 +159,14 @@ def finish(
         radius = np.inf
         if objectives:  # the loop of the last round is near the optimum
             radius = _NEARBY * float(np.abs(best.z).max())
-        best = search.optimise_from(gait, most=most, radius=radius)
+        best = search.optimise_from(gait, most=most, radius=radius, once=sharp)
         objectives.append(best.value)
         for end in known:
             if np.isclose(end.objectives[k : k + 1], best.value, rtol=_EQUAL, atol=0.0).any():
                 return end
         if sharp and not len(search.peaks_beyond(best.z).s):
-            best = sharpened(problem_of(task, search.path), best)
+            problem = problem_of(task, search.path)
+            best = sharpened(problem, minimum(problem, best.z, most=most, radius=radius))
         gait, beyond, checks = search.gait(best.z), search.peaks_beyond(best.z), search.path.checks
         if checks is None or not len(beyond.s):
             return End(search, best, tuple(objectives))

@@ -22,7 +22,7 @@ from .objective import torque_order, torque_slopes, torques
 
 _PER_HARMONIC = 8  # initial checks per harmonic and period, of each quantity and sign
 # Further checks around a peak that exceeds its limit, as parts of the time to the next check.
-_CLOSER = 2.0 ** -np.array([1.0, 3.0, 5.0, 7.0])
+_CLOSER = 2.0 ** -np.array([1.0, 3.0, 5.0])
 _SAMPLES = 64  # samples per harmonic and period from which peaks are located
 _TORQUE = 2  # kind of quantity; kinds 0 and 1 are shapes and speeds
 _REFINEMENTS = 4  # number of parabolas that refine a peak, the first through samples

@@ -102,7 +102,14 @@ class Minimum:
     residual: float
 
 
-def minimum(problem: Problem, start: Array, *, most: int = 1000, radius: float = np.inf) -> Minimum:
+def minimum(
+    problem: Problem,
+    start: Array,
+    *,
+    most: int = 1000,
+    radius: float = np.inf,
+    once: bool = False,
+) -> Minimum:
     """Find a local minimum near an initial point.
 
     SLSQP also ends where a line search makes no progress.  Runs are therefore repeated, each with
@@ -115,6 +122,7 @@ def minimum(problem: Problem, start: Array, *, most: int = 1000, radius: float =
         start: Initial point, (n,).
         most: Maximum number of iterations.
         radius: Half width of the first box around the start.
+        once: Whether the search ends after a run that SLSQP calls successful.
     Returns:
         The result at the final iterate.
     """
@@ -126,18 +134,18 @@ def minimum(problem: Problem, start: Array, *, most: int = 1000, radius: float =
         run = _run(problem, z, min(left, longest), radius=radius)
         trial, status, left = run.x, str(run.message), left - int(run.nit)
         value, violation = problem.at(z)[0][0], problem.violation(z)
-        gain = value - problem.at(trial)[0][0]
-        if not problem.violation(trial) <= max(_VIOLATION, _LESS * violation):
+        gain, left_over = value - problem.at(trial)[0][0], problem.violation(trial)
+        feasible, at_edge = violation <= _VIOLATION, np.abs(trial - z).max() > _EDGE * radius
+        if not left_over <= max(_VIOLATION, _LESS * violation):
             radius = _SMALLER * min(radius, size)
-            misses += violation > _VIOLATION
-        elif violation > _VIOLATION:
-            z = trial
+            misses += not feasible
         else:
-            at_edge = np.abs(trial - z).max() > _EDGE * radius
-            z = trial if gain > 0.0 else z
-            radius /= _SMALLER
-            if not at_edge and run.nit < longest and gain <= _GAIN * abs(value):
+            z = trial if gain > 0.0 or not feasible else z
+            done = once and run.success and left_over <= _VIOLATION
+            done |= feasible and gain <= _GAIN * abs(value)
+            if done and not at_edge and run.nit < longest:
                 break
+            radius /= _SMALLER if feasible else 1.0
         if left <= 0 or radius < _SMALLEST * size or misses >= _MISSES:
             break
     value = float(problem.at(z)[0][0])

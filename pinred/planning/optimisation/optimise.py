@@ -286,7 +286,7 @@ def _optimise_fourier(
         check_target(task, fourier_path_of(task, harmonics), gait)
     for h in ladder[:-1]:
         search = Search(task, fourier_path_of(task, h, action=True))
-        gait = search.gait(search.optimise_from(gait).z)
+        gait = search.gait(search.optimise_from(gait, once=True).z)
     search = Search(task, fourier_path_of(task, harmonics))
     if len(ladder) > 1:
         z = search.unknowns(gait)
