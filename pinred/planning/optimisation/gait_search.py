@@ -160,6 +160,8 @@ def finish(
         if objectives:  # the loop of the last round is near the optimum
             radius = _NEARBY * float(np.abs(best.z).max())
         best = search.optimise_from(gait, most=most, radius=radius, once=sharp)
+        if sharp and not best.residual < np.inf:
+            raise StartFailed(f"no loop within the limits was found ({best.status})")
         objectives.append(best.value)
         for end in known:
             if np.isclose(end.objectives[k : k + 1], best.value, rtol=_EQUAL, atol=0.0).any():
@@ -175,16 +177,18 @@ def finish(
     raise StartFailed("the loop still exceeds its limits")
 
 
-def check_target(task: Task, path: Path, gait: Gait) -> None:
-    """Raise TargetMissed if loops near a Fourier gait cannot reach the target within the limits.
+def loop_to_target(task: Task, path: Path, gait: Gait) -> Gait:
+    """Return a loop near a Fourier gait that reaches the target within the limits.
 
-    The squared deviation is minimised.  A loop that minimises the cost would satisfy no constraint
-    if the target is out of reach.
+    The squared deviation is minimised.  A search for the least cost from a loop that misses the
+    target can end at a loop that satisfies no constraint.
 
     Args:
         task: The task, with a target.
         path: The family of paths.
         gait: The gait.
+    Returns:
+        The loop.
     Raises:
         TargetMissed: A local minimum of the deviation exceeds _MISSED.
     """
@@ -206,6 +210,7 @@ def check_target(task: Task, path: Path, gait: Gait) -> None:
     deviation = float(np.linalg.norm(problem.at(z)[0][1:k]))
     if not deviation <= _MISSED:
         raise TargetMissed(deviation)
+    return search.gait(z)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,9 +23,9 @@ from .gait_search import (
     Search,
     StartFailed,
     TargetMissed,
-    check_target,
     finish,
     fourier_path_of,
+    loop_to_target,
     measure,
 )
 from .limits import LimitsLike, limits_of, margins, require_two_joints
@@ -282,17 +282,22 @@ def _optimise_fourier(
     continued = winding is not None or m > 2
     ladder = sorted({h for h in _CONTINUED if h < harmonics and continued} | {harmonics})
     gait = _initial_loop(task, ladder[0], rng)
-    if isinstance(task.aim, TargetAim):
-        check_target(task, fourier_path_of(task, harmonics), gait)
-    for h in ladder[:-1]:
-        search = Search(task, fourier_path_of(task, h, action=True))
-        gait = search.gait(search.optimise_from(gait, once=True).z)
     search = Search(task, fourier_path_of(task, harmonics))
+    targeted = isinstance(task.aim, TargetAim)
+    reached = loop_to_target(task, search.path, gait) if targeted else gait
+    for h in ladder[:-1]:
+        stage = Search(task, fourier_path_of(task, h, action=True))
+        gait = stage.gait(stage.optimise_from(gait, once=True).z)
     if len(ladder) > 1:
         z = search.unknowns(gait)
         y = z[: search.path.size]  # the loop without its period, which stays positive
         y += change * np.abs(y).max() * rng.uniform(-1.0, 1.0, len(y))
         gait = search.gait(z)
+    if targeted:
+        try:
+            gait = loop_to_target(task, search.path, gait)
+        except TargetMissed:
+            gait = reached
     end = finish(search, gait, known=known)
     if end not in known:
         known.append(end)
