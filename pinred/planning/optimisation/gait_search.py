@@ -23,6 +23,8 @@ _BOX = 0.1  # first box around a start, if torques make its limits strongly nonl
 _NEARBY = 0.2  # first box around the loop of an earlier round, relative to the loop
 _MISSED = 1e-4  # smallest deviation of a target that is out of reach [rad | m]
 _ROUNDS = 20  # largest number of rounds, each with checks at the peaks of the previous loop
+_POLISHES = 3  # number of further rounds with checks at the peaks of an optimum
+_AT_LIMIT = 1e-5  # relative distance to its limit below which a peak gets a check
 _EQUAL = 1e-8  # relative difference of objectives of equal loops
 _TIMES = 512  # number of times at which rotation vectors of balls are checked
 
@@ -83,10 +85,16 @@ class Search:
         """Return the path coefficients, (K, m), for the unknowns z of the optimisation."""
         return self.path.coefficients(z[: self.path.size])
 
-    def peaks_beyond(self, z: Array) -> Times:
-        """Return the peaks beyond limits of the loop with the unknowns z of the optimisation."""
+    def peaks_beyond(self, z: Array, level: float = 1.0) -> Times:
+        """Return the peaks of the loop with the unknowns z beyond limits, times a level."""
         task, c, T = self.task, self.coefficients(z), self.gait(z).period
-        return LimitedLoop(task.connection, task.limits, c, T).peaks_beyond()
+        return LimitedLoop(task.connection, task.limits, c, T).peaks_beyond(level)
+
+    def with_checks_at(self, peaks: Times, z: Array) -> Search:
+        """Return the search with further checks at peaks of the loop with the unknowns z."""
+        assert self.path.checks is not None
+        checks = self.path.checks.refined(peaks, self.coefficients(z))
+        return Search(self.task, replace(self.path, checks=checks))
 
     def gait(self, z: Array) -> Gait:
         """Return the Fourier gait for the unknowns z of the optimisation."""
@@ -153,12 +161,9 @@ def finish(
     Raises:
         StartFailed: The loop exceeds limits.
     """
-    task = search.task
     objectives: list[float] = []
+    radius = np.inf
     for k in range(_ROUNDS):
-        radius = np.inf
-        if objectives:  # the loop of the last round is near the optimum
-            radius = _NEARBY * float(np.abs(best.z).max())
         best = search.optimise_from(gait, most=most, radius=radius, once=sharp)
         if sharp and not best.residual < np.inf:
             raise StartFailed(f"no loop within the limits was found ({best.status})")
@@ -166,15 +171,38 @@ def finish(
         for end in known:
             if np.isclose(end.objectives[k : k + 1], best.value, rtol=_EQUAL, atol=0.0).any():
                 return end
-        if sharp and not len(search.peaks_beyond(best.z).s):
-            problem = problem_of(task, search.path)
-            best = sharpened(problem, minimum(problem, best.z, most=most, radius=radius))
-        gait, beyond, checks = search.gait(best.z), search.peaks_beyond(best.z), search.path.checks
-        if checks is None or not len(beyond.s):
-            return End(search, best, tuple(objectives))
-        refined = checks.refined(beyond, search.coefficients(best.z))
-        search = Search(task, replace(search.path, checks=refined))
+        beyond = search.peaks_beyond(best.z)
+        if not len(beyond.s):
+            return End(*(_sharpened(search, best) if sharp else (search, best)), tuple(objectives))
+        gait, search = search.gait(best.z), search.with_checks_at(beyond, best.z)
+        radius = _NEARBY * float(np.abs(best.z).max())
     raise StartFailed("the loop still exceeds its limits")
+
+
+def _sharpened(search: Search, best: Minimum) -> tuple[Search, Minimum]:
+    """Improve the optimum of the last round by Newton's method, with checks at its peaks.
+
+    Checks beside a peak have other derivatives than the peak, which enter the conditions of an
+    optimum.
+
+    Args:
+        search: The search.
+        best: Its optimum, whose peaks are within the limits.
+    Returns:
+        The search with further checks, and its optimum.
+    """
+    for _ in range(_POLISHES):
+        trial = search.with_checks_at(search.peaks_beyond(best.z, 1.0 - _AT_LIMIT), best.z)
+        problem = problem_of(search.task, trial.path)
+        better = sharpened(problem, minimum(problem, best.z))
+        if not better.residual < RESIDUAL:
+            break
+        beyond = trial.peaks_beyond(better.z)
+        if len(beyond.s):
+            search = trial.with_checks_at(beyond, better.z)
+        else:
+            search, best = trial, better
+    return search, best
 
 
 def loop_to_target(task: Task, path: Path, gait: Gait) -> Gait:
@@ -200,7 +228,8 @@ def loop_to_target(task: Task, path: Path, gait: Gait) -> Gait:
         values, slopes = problem.evaluate(z)
         errors, by_z = values[1:k], slopes[1:k]
         return (
-            np.append(0.5 * (errors @ errors + _MISSED**2), values[k:]), np.vstack([errors @ by_z, slopes[k:]])
+            np.append(0.5 * (errors @ errors + _MISSED**2), values[k:]),
+            np.vstack([errors @ by_z, slopes[k:]]),
         )  # fmt: skip
 
     nearest = replace(

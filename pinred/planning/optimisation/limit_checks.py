@@ -53,14 +53,14 @@ class CheckGroup(NamedTuple):
         at: Indices of the checks, (N,).
         joint: Indices of the joints, (M,).
         s: Times, (M,).
-        index: Index of joint and time of each check, (N,).
+        pair: Index of joint and time of each check, (N,).
     """
 
     kind: int
     at: NDArray[np.int_]
     joint: NDArray[np.int_]
     s: Array
-    index: NDArray[np.int_]
+    pair: NDArray[np.int_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,8 +193,8 @@ class LimitedLoop:
         for group in checks.groups:
             q, q_by_c = self._with_slopes(group, checks)
             sign = signs[group.at]
-            values[group.at] = sign * q[group.index]
-            by_c[group.at] = sign[:, None, None] * q_by_c[group.index]
+            values[group.at] = sign * q[group.pair]
+            by_c[group.at] = sign[:, None, None] * q_by_c[group.pair]
             order[group.at] = self.order(group.kind)
         return CheckedValues(values, by_c, -order * values)
 
@@ -203,20 +203,22 @@ class LimitedLoop:
         kind, joint, s = group.kind, group.joint, group.s + checks.shift(self.c)
         each, scale = np.arange(len(s)), self.scale(kind)[joint]
         rows = fourier_rows(self.harmonics, s)
-        states = [row @ self.c for row in rows]
+        x, slope, bend = states = [row @ self.c for row in rows]
         covector = np.zeros((len(s), self.c.shape[1]))
         covector[each, joint] = 1.0 / scale
         if kind == _TORQUE:
-            q = torques(self.connection, *states)[each, joint]
+            q = torques(self.connection, x, slope, bend)[each, joint]
             slopes = dict(
-                enumerate(np.split(torque_slopes(self.connection, *states, covector), 3, axis=1))
+                enumerate(
+                    np.split(torque_slopes(self.connection, x, slope, bend, covector), 3, axis=1)
+                )
             )
         else:
             q, slopes = states[kind][each, joint], {kind: covector}
             q = q - self.limits.middle[joint] * (kind == 0)
         rates = (*states[1:], self.third_derivatives(rows[1]))
-        by_c = sum(rows[k][:, :, None] * slope[:, None] for k, slope in slopes.items())
-        rate = sum((slope * rates[k]).sum(axis=1) for k, slope in slopes.items())
+        by_c = sum(rows[k][:, :, None] * by_state[:, None] for k, by_state in slopes.items())
+        rate = sum((by_state * rates[k]).sum(axis=1) for k, by_state in slopes.items())
         return q / scale, np.asarray(by_c + np.multiply.outer(rate, checks.shifts))
 
     def third_derivatives(self, slope_rows: Array) -> Array:
@@ -224,8 +226,8 @@ class LimitedLoop:
         k = 2.0 * np.pi * np.arange(1.0, self.harmonics + 1.0)
         return np.asarray(slope_rows @ (-(np.concatenate([[0.0], k, k])[:, None] ** 2) * self.c))
 
-    def peaks_beyond(self) -> Times:
-        """Return the local maxima of |q| that exceed 1."""
+    def peaks_beyond(self, level: float = 1.0) -> Times:
+        """Return the local maxima of |q| that exceed a level."""
         found = [Times(*(np.zeros(0, dtype) for dtype in (int, int, float, float)))]
         count = _SAMPLES * (self.harmonics + 1)
         for kind, size in enumerate((self.limits.reach, self.limits.speed, self.limits.torque)):
@@ -234,7 +236,7 @@ class LimitedLoop:
             q = self.scaled(kind, np.arange(count) / count)
             inner, before, after = np.abs(q), np.roll(np.abs(q), 1, 0), np.roll(np.abs(q), -1, 0)
             bound = inner + np.abs(after - before) + np.abs(after - 2.0 * inner + before)
-            k, joint = np.nonzero((inner >= before) & (inner >= after) & (bound > 1.0))
+            k, joint = np.nonzero((inner >= before) & (inner >= after) & (bound > level))
             if not len(k):
                 continue
             sign, s, step = np.sign(q[k, joint]), k / count, 1.0 / count
@@ -247,7 +249,7 @@ class LimitedLoop:
                 vertex = np.divide(-slope, bend, out=np.zeros_like(s), where=bend < 0.0)
                 s = s + step * np.clip(vertex, -1.0, 1.0)
                 step *= _NARROWER
-            beyond = sign * self.scaled(kind, s)[each[:, 0], joint] > 1.0
+            beyond = sign * self.scaled(kind, s)[each[:, 0], joint] > level
             found.append(
                 Times(np.full(beyond.sum(), kind), joint[beyond], sign[beyond], s[beyond] % 1.0)
             )

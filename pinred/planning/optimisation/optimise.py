@@ -1,4 +1,4 @@
-"""optimise_gait(): find the loop that moves the base most, relative to a cost."""
+"""optimise_gait(): find loops that move the base much, relative to a cost."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def optimise_gait(
     seed: int = 0,
     progress: Progress | bool | None = None,
 ) -> BestGait:
-    """Find the best loop in shape space at zero momentum, with all local optima.
+    """Find the best local optimum of several starts among loops in shape space at zero momentum.
 
     The maximised merit is the objective per cost.  The cost enters with the power that makes the
     merit independent of the size of small loops: length, √torque, ⁴√power, √acceleration or time.
@@ -140,7 +140,7 @@ def optimise_gait(
         seed: Seed of the random numbers for the initial loops.
         progress: True for a progress bar, or a function called with the completed fraction.
     Returns:
-        The best loop and the other local optima.
+        The best local optimum of the starts, and the others. Other starts may reach a better loop.
     Raises:
         InputError: The options are invalid or contradict each other.
         SymmetryError: Gravity rotates the base.

@@ -32,9 +32,9 @@ from .objective import (
     cost_of,
 )
 
-_INSIDE = 5e-8  # relative margin of checks inside the limits, which peaks between them may use
-# Power of the size of a loop that is minimised for a target.  Small loops reach targets in proportion
-# to the square of their size, so that smaller powers are not convex functions of the target.
+_INSIDE = 1.5e-8  # relative margin of checks inside the limits, which peaks between them may use
+# Power of the size of a loop that is minimised for a target.  Small loops reach targets in
+# proportion to the square of their size, so that smaller powers are not convex in the target.
 _CONVEX = 4
 _SHORTEST = 1e-6  # lower bound of a variable period [s]
 
