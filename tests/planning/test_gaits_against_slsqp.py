@@ -15,6 +15,8 @@ import pinred
 
 GAP = 1e-6  # largest relative gap to the best of STARTS loops by SLSQP
 STARTS = 10
+MOST = 10.0  # largest CPU time of an optimisation [s]
+SLOWER = 2.0  # largest factor by which other processes slow down the CPU, as seen with full load
 LIMITS = {0.5: 2, 0.7: 3, 0.9: 2, 1.1: 3, 1.3: 2}  # limits of all joints [rad], and harmonics
 QUICK = ("three_rods-rotation-length-0.9", "three_rods-rotation-torque-0.5")
 TASKS: dict[str, dict[str, dict[str, Any]]] = {
@@ -70,14 +72,18 @@ def problems() -> list[Any]:
 
 
 @pytest.mark.parametrize(("robot", "options"), problems())
-def test_slsqp_finds_no_better_gait(robot: str, options: dict[str, Any]) -> None:
+def test_slsqp_finds_no_better_gait(
+    robot: str, options: dict[str, Any], request: pytest.FixtureRequest
+) -> None:
     """The merit is at most GAP below the best loop of SLSQP, and the limits hold."""
     reference = Reference(connection(robot), options)
     begin = time.process_time()
     best = pinred.optimise_gait(connection(robot), **options)
     spent = time.process_time() - begin
+    if request.config.getoption("--by-hand"):
+        assert spent <= MOST * SLOWER
     expected = reference.best_of(STARTS)[0]
-    merit = reference.merit(best.gait)
+    merit = reference.merit(best.gait)  # of a target: −cost
     gap = (expected - merit) / abs(expected)
     print(f"GAP {gap:.1e} merit {merit:.10g} CPU {spent:.1f} s found {best.found}")
     assert gap <= GAP

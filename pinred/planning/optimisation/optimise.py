@@ -220,6 +220,15 @@ def _check_task(task: Task) -> None:
         raise InputError(
             "cost 'time' needs limits of speeds or torques, which bound the period from below"
         )
+    if (
+        isinstance(task.aim, AxisAim)
+        and task.aim.kind == "displacement"
+        and connection.is_mechanical
+    ):
+        raise InputError(
+            "objective: at zero momentum the centre of mass rests, so a loop displaces nothing "
+            "without rotation. Use 'rotation', a target, or a connection by drag, fluids or wheels."
+        )
     if isinstance(task.aim, TargetAim) and (cost is None or task.most is not None):
         raise InputError("objective 'target' minimises a cost. Pass cost= and omit most=.")
     if task.most is not None and cost is None:
