@@ -40,7 +40,7 @@ from .objective import (
     check_cost,
     target_aim,
 )
-from .transcription import Path, Task, problem_of
+from .transcription import CONVEX, Path, Task, problem_of
 
 _PIECES = 1  # number of quadrature segments of order 16 for each edge
 
@@ -346,11 +346,12 @@ def _winding(gait: Gait) -> float:
 
 def _verify(search: Search, best: Minimum, gait: Gait, turns: float | None) -> Optimum:
     """Return the certificate of an optimum.  Raises StartFailed."""
-    if not best.residual <= RESIDUAL:
-        raise StartFailed(f"no optimum was reached in {best.iterations} iterations ({best.status})")
     task = search.task
+    residual = best.residual / (CONVEX if isinstance(task.aim, TargetAim) else 1)
+    if not residual <= RESIDUAL:
+        raise StartFailed(f"no optimum was reached in {best.iterations} iterations ({best.status})")
     return Optimum(
-        **vars(measure(search, best, gait)), residual=best.residual,
+        **vars(measure(search, best, gait)), residual=residual,
         margins=margins(task.connection, gait, task.limits), winding=turns,
     )  # fmt: skip
 
