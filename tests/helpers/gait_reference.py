@@ -151,7 +151,8 @@ class Reference:
         planar = self.connection.group.turns == 1
         turn = pose[:, 2:] if planar else pose
         if target is not None:
-            return np.hstack([root[:, None], turn - np.atleast_1d(target)])
+            cost = z[:, -1] if kind == "time" else cost
+            return np.hstack([cost[:, None], turn - np.atleast_1d(target)])
         if objective == "displacement":
             return np.hstack([-(pose[:, :1] / root[:, None]), turn])
         axis = 0 if planar else "xyz".index(options["axis"])
@@ -205,7 +206,9 @@ class Reference:
             c[1], c[1 + self.harmonics] = 0.6 * limit * np.eye(2)
         z, target = np.append(c.ravel(), np.ones(self.free)), self.options.get("target")
         numbers = self.numbers(z[None])[0]
-        backwards = numbers[0] > 0.0 if target is None else (numbers[1] + target) * target < 0.0
+        backwards = numbers[0] > 0.0
+        if target is not None:
+            backwards = float((numbers[1:] + target) @ np.atleast_1d(target)) < 0.0
         if backwards:
             c[1 + self.harmonics :] *= -1.0
         z = np.append(c.ravel(), np.full(self.free, 10.0))

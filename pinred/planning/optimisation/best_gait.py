@@ -1,4 +1,4 @@
-"""Results of a gait optimisation: the best loop, its certificate, and the other local optima."""
+"""Results of a gait optimisation: the best local optimum of the starts, and the others."""
 
 from __future__ import annotations
 
@@ -76,18 +76,20 @@ _SHOWN = 3  # number of local optima in the text
 @checks_arguments
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class BestGait(Summary, Optimum):
-    """The best loop of an optimisation, with all other local optima.
+    """The best local optimum of the starts of an optimisation, with the other local optima.
+
+    Other starts may reach a better loop.
 
     Attributes:
-        gait: The best loop.
-        phase: Geometric phase of one cycle of the best loop.
+        gait: The best loop of the starts.
+        phase: Geometric phase of one cycle of this loop.
         value: Objective of one cycle [rad | m]; for a target, the deviation from the target.
         cost: Cost of one cycle; NaN if no cost is selected.
         merit: The maximised quantity: the objective, the objective per cost, or the negative cost.
         residual: Residual of the Karush–Kuhn–Tucker conditions, relative to the merit.
         margins: Smallest distance to the limits of each kind.
         winding: Winding number of the loop in the plane of two joints; None for more joints.
-        found: Number of starts that converged to the best loop.
+        found: Number of starts that converged to this loop, or to loops of the same merit.
         task: The optimisation task.
         optima: Local optima, best first.
         starts: Number of initial loops.
@@ -168,7 +170,9 @@ class BestGait(Summary, Optimum):
     def title(self) -> str:
         """Return the first line of the text."""
         connection = self.task.connection
-        return f"best gait of {connection.form.what}, {connection.group.name} × {connection.m}"
+        starts = f"best local optimum of {self.starts} start{'s' * (self.starts > 1)}"
+        name = f"{connection.group.name} × {connection.m}"
+        return f"gait of {connection.form.what}, {name}: {starts}"
 
     def rows(self) -> Rows:
         """Return the rows of the text: objective, cost, accuracy, margins and local optima."""

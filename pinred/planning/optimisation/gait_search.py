@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,8 +11,8 @@ from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift
 from ...analysis.phases.phase import Phase, phase
 from ...common.arrays import Array
-from .limit_checks import LimitedLoop, first_checks
-from .nonlinear_program import Minimum, minimum
+from .limit_checks import LimitedLoop, Times, first_checks
+from .nonlinear_program import Minimum, minimum, sharpened
 from .objective import TargetAim, cost_of
 from .transcription import Path, Task, fourier_path, problem_of
 
@@ -19,8 +20,12 @@ _PIECES = 2  # number of quadrature segments of order 16 per (harmonics + 3)
 RESIDUAL = 1e-4  # largest relative KKT residual of an accepted optimum
 _PHASE_ERROR = 1e-6  # largest difference between sampled and transcribed phase [rad | m]
 _BOX = 0.1  # first box around a start, if torques make its limits strongly nonlinear [rad | m]
+_NEARBY = 0.2  # first box around the loop of an earlier round, relative to the loop
 _MISSED = 1e-4  # smallest deviation of a target that is out of reach [rad | m]
 _ROUNDS = 20  # largest number of rounds, each with checks at the peaks of the previous loop
+_POLISHES = 3  # number of further rounds with checks at the peaks of an optimum
+_AT_LIMIT = 1e-5  # relative distance to its limit below which a peak gets a check
+_EQUAL = 1e-8  # relative difference of objectives of equal loops
 _TIMES = 512  # number of times at which rotation vectors of balls are checked
 
 
@@ -53,18 +58,23 @@ class Search:
     task: Task
     path: Path
 
-    def optimise_from(self, gait: Gait, *, most: int = 1000) -> Minimum:
+    def optimise_from(
+        self, gait: Gait, *, most: int = 1000, radius: float = np.inf, once: bool = False
+    ) -> Minimum:
         """Find the optimum near a Fourier gait.
 
         Args:
             gait: A gait with at most as many harmonics as the paths.
             most: Maximum number of iterations.
+            radius: Half width of the first box around the gait.
+            once: Whether the search ends after one successful run.
         Returns:
             The optimum, if the search converged.
         """
-        radius = _BOX if np.isfinite(self.task.limits.torque).any() else np.inf
+        if np.isfinite(self.task.limits.torque).any():
+            radius = min(radius, _BOX)
         problem = problem_of(self.task, self.path)
-        return minimum(problem, self.unknowns(gait), most=most, radius=radius)
+        return minimum(problem, self.unknowns(gait), most=most, radius=radius, once=once)
 
     def unknowns(self, gait: Gait) -> Array:
         """Return the unknowns z of the optimisation for a Fourier gait."""
@@ -74,6 +84,17 @@ class Search:
     def coefficients(self, z: Array) -> Array:
         """Return the path coefficients, (K, m), for the unknowns z of the optimisation."""
         return self.path.coefficients(z[: self.path.size])
+
+    def peaks_beyond(self, z: Array, level: float = 1.0) -> Times:
+        """Return the peaks of the loop with the unknowns z beyond limits, times a level."""
+        task, c, T = self.task, self.coefficients(z), self.gait(z).period
+        return LimitedLoop(task.connection, task.limits, c, T).peaks_beyond(level)
+
+    def with_checks_at(self, peaks: Times, z: Array) -> Search:
+        """Return the search with further checks at peaks of the loop with the unknowns z."""
+        assert self.path.checks is not None
+        checks = self.path.checks.refined(peaks, self.coefficients(z))
+        return Search(self.task, replace(self.path, checks=checks))
 
     def gait(self, z: Array) -> Gait:
         """Return the Fourier gait for the unknowns z of the optimisation."""
@@ -104,40 +125,98 @@ def fourier_path_of(
     return replace(path, checks=first_checks(task.limits, harmonics), action=action)
 
 
-def finish(search: Search, gait: Gait, *, most: int = 1000) -> tuple[Search, Minimum]:
+@dataclass(frozen=True, eq=False)
+class End:
+    """The end of a search.
+
+    Attributes:
+        search: The search with the checks of the last round.
+        best: Its optimum.
+        objectives: Objectives of the optima of all rounds.
+    """
+
+    search: Search
+    best: Minimum
+    objectives: tuple[float, ...]
+
+
+def finish(
+    search: Search,
+    gait: Gait,
+    *,
+    most: int = 1000,
+    sharp: bool = True,
+    known: Sequence[End] = (),
+) -> End:
     """Find the optimum near a Fourier gait whose peaks between checks are within the limits.
 
     Args:
         search: The search.
         gait: The gait.
         most: Maximum number of iterations of each round.
+        sharp: Whether Newton's method improves the optimum of the last round.
+        known: Ends of searches for the same task from other gaits.
     Returns:
-        The search with the checks of the last round, and its optimum.
+        The end of the search; a known one, if its objective was equal after as many rounds.
     Raises:
         StartFailed: The loop exceeds limits.
     """
-    task = search.task
-    for _ in range(_ROUNDS):
-        best = search.optimise_from(gait, most=most)
-        gait, c = search.gait(best.z), search.coefficients(best.z)
-        beyond = LimitedLoop(task.connection, task.limits, c, gait.period).peaks_beyond()
-        checks = search.path.checks
-        if checks is None or not len(beyond.s):
-            return search, best
-        search = Search(task, replace(search.path, checks=checks.refined(beyond, c)))
+    objectives: list[float] = []
+    radius = np.inf
+    for k in range(_ROUNDS):
+        best = search.optimise_from(gait, most=most, radius=radius, once=sharp)
+        if sharp and not best.residual < np.inf:
+            raise StartFailed(f"no loop within the limits was found ({best.status})")
+        objectives.append(best.value)
+        for end in known:
+            if np.isclose(end.objectives[k : k + 1], best.value, rtol=_EQUAL, atol=0.0).any():
+                return end
+        beyond = search.peaks_beyond(best.z)
+        if not len(beyond.s):
+            return End(*(_sharpened(search, best) if sharp else (search, best)), tuple(objectives))
+        gait, search = search.gait(best.z), search.with_checks_at(beyond, best.z)
+        radius = _NEARBY * float(np.abs(best.z).max())
     raise StartFailed("the loop still exceeds its limits")
 
 
-def check_target(task: Task, path: Path, gait: Gait) -> None:
-    """Raise TargetMissed if loops near a Fourier gait cannot reach the target within the limits.
+def _sharpened(search: Search, best: Minimum) -> tuple[Search, Minimum]:
+    """Improve the optimum of the last round by Newton's method, with checks at its peaks.
 
-    The squared deviation is minimised.  A loop that minimises the cost would satisfy no constraint
-    if the target is out of reach.
+    Checks beside a peak have other derivatives than the peak, which enter the conditions of an
+    optimum.
+
+    Args:
+        search: The search.
+        best: Its optimum, whose peaks are within the limits.
+    Returns:
+        The search with further checks, and its optimum.
+    """
+    for _ in range(_POLISHES):
+        trial = search.with_checks_at(search.peaks_beyond(best.z, 1.0 - _AT_LIMIT), best.z)
+        problem = problem_of(search.task, trial.path)
+        better = sharpened(problem, minimum(problem, best.z))
+        if not better.residual < RESIDUAL:
+            break
+        beyond = trial.peaks_beyond(better.z)
+        if len(beyond.s):
+            search = trial.with_checks_at(beyond, better.z)
+        else:
+            search, best = trial, better
+    return search, best
+
+
+def loop_to_target(task: Task, path: Path, gait: Gait) -> Gait:
+    """Return a loop near a Fourier gait that reaches the target within the limits.
+
+    The squared deviation is minimised.  A search for the least cost from a loop that misses the
+    target can end at a loop that satisfies no constraint.
 
     Args:
         task: The task, with a target.
         path: The family of paths.
         gait: The gait.
+    Returns:
+        The loop.
     Raises:
         TargetMissed: A local minimum of the deviation exceeds _MISSED.
     """
@@ -149,16 +228,18 @@ def check_target(task: Task, path: Path, gait: Gait) -> None:
         values, slopes = problem.evaluate(z)
         errors, by_z = values[1:k], slopes[1:k]
         return (
-            np.append(0.5 * errors @ errors, values[k:]), np.vstack([errors @ by_z, slopes[k:]])
+            np.append(0.5 * (errors @ errors + _MISSED**2), values[k:]),
+            np.vstack([errors @ by_z, slopes[k:]]),
         )  # fmt: skip
 
     nearest = replace(
         problem, evaluate=evaluate, lower=problem.lower[k - 1 :], upper=problem.upper[k - 1 :]
     )
-    values = nearest.at(minimum(nearest, search.unknowns(gait)).z)[0]
-    deviation = float(np.sqrt(2.0 * values[0]))
+    z = minimum(nearest, search.unknowns(gait)).z
+    deviation = float(np.linalg.norm(problem.at(z)[0][1:k]))
     if not deviation <= _MISSED:
         raise TargetMissed(deviation)
+    return search.gait(z)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ the loop, also where two extremes merge to a flat top.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,8 @@ from .limits import Limits
 from .objective import torque_order, torque_slopes, torques
 
 _PER_HARMONIC = 8  # initial checks per harmonic and period, of each quantity and sign
-_PARTS = 8  # parts into which a time between checks is divided if a peak in it exceeds its limit
+# Further checks around a peak that exceeds its limit, as parts of the time to the next check.
+_CLOSER = 2.0 ** -np.array([1.0, 3.0, 5.0])
 _SAMPLES = 64  # samples per harmonic and period from which peaks are located
 _TORQUE = 2  # kind of quantity; kinds 0 and 1 are shapes and speeds
 _REFINEMENTS = 4  # number of parabolas that refine a peak, the first through samples
@@ -43,6 +45,24 @@ class Times(NamedTuple):
     s: Array
 
 
+class CheckGroup(NamedTuple):
+    """Checks of one kind of quantity, whose values q are those of M joints and times.
+
+    Attributes:
+        kind: Limited quantity: 0 shape, 1 speed, 2 torque.
+        at: Indices of the checks, (N,).
+        joint: Indices of the joints, (M,).
+        s: Times, (M,).
+        pair: Index of joint and time of each check, (N,).
+    """
+
+    kind: int
+    at: NDArray[np.int_]
+    joint: NDArray[np.int_]
+    s: Array
+    pair: NDArray[np.int_]
+
+
 @dataclass(frozen=True, eq=False)
 class LimitChecks:
     """Checks that move with a loop which is shifted along itself, x(s) → x(s + shift).
@@ -58,6 +78,18 @@ class LimitChecks:
     times: Times
     loop: Array
     shifts: Array
+
+    @cached_property
+    def groups(self) -> tuple[CheckGroup, ...]:
+        """The checks of each kind of quantity."""
+        groups = []
+        for kind in np.unique(self.times.kind).tolist():
+            at = np.flatnonzero(self.times.kind == kind)
+            pairs = np.stack([self.times.joint[at], self.times.s[at]])
+            # Both signs of a quantity share its evaluation.
+            (joint, s), index = np.unique(pairs, axis=1, return_inverse=True)
+            groups.append(CheckGroup(kind, at, joint.astype(int), s, index))
+        return tuple(groups)
 
     def shift(self, c: Array) -> float:
         """Return the shift of a loop along itself, relative to the loop of the checks."""
@@ -77,7 +109,8 @@ class LimitChecks:
         for kind, joint, sign, s in zip(*beyond, strict=True):
             same = (kinds == kind) & (joints == joint) & (signs == sign)
             distances = (moments[same] - s) % 1.0
-            between = np.linspace(distances.max() - 1.0, distances.min(), _PARTS + 1)[1:-1]
+            between = np.outer([distances.max() - 1.0, distances.min()], _CLOSER)
+            between = np.append(between, 0.0)
             more.append(Times(*np.broadcast_arrays(kind, joint, sign, (s + between) % 1.0)))
         times = Times(*(np.concatenate(each) for each in zip(*more, strict=True)))
         k = 2.0 * np.pi * np.arange(1, (len(c) + 1) // 2)[:, None]
@@ -155,44 +188,46 @@ class LimitedLoop:
 
     def values(self, checks: LimitChecks) -> CheckedValues:
         """Compute the values of checks and their derivatives."""
-        kinds, joints, signs, s = checks.times
-        values, by_c, order = np.zeros(len(s)), np.zeros((len(s), *self.c.shape)), np.zeros(len(s))
-        for kind in np.unique(kinds):
-            at = np.flatnonzero(kinds == kind)
-            # Both signs of a quantity share its evaluation.
-            pairs, index = np.unique([joints[at], s[at]], axis=1, return_inverse=True)
-            q, q_by_c = self._with_slopes(kind, pairs[0].astype(int), pairs[1], checks)
-            values[at] = signs[at] * q[index]
-            by_c[at] = signs[at, None, None] * q_by_c[index]
-            order[at] = self.order(kind)
+        signs, count = checks.times.sign, len(checks.times.s)
+        values, by_c, order = np.zeros(count), np.zeros((count, *self.c.shape)), np.zeros(count)
+        for group in checks.groups:
+            q, q_by_c = self._with_slopes(group, checks)
+            sign = signs[group.at]
+            values[group.at] = sign * q[group.pair]
+            by_c[group.at] = sign[:, None, None] * q_by_c[group.pair]
+            order[group.at] = self.order(group.kind)
         return CheckedValues(values, by_c, -order * values)
 
-    def _with_slopes(
-        self, kind: int, joint: NDArray[np.int_], s: Array, checks: LimitChecks
-    ) -> tuple[Array, Array]:
-        """Return q, (N,), and its derivatives, (N, K, m), at times that move with the loop."""
-        s, each = s + checks.shift(self.c), np.arange(len(s))
+    def _with_slopes(self, group: CheckGroup, checks: LimitChecks) -> tuple[Array, Array]:
+        """Return q, (M,), and its derivatives, (M, K, m), at times that move with the loop."""
+        kind, joint, s = group.kind, group.joint, group.s + checks.shift(self.c)
+        each, scale = np.arange(len(s)), self.scale(kind)[joint]
         rows = fourier_rows(self.harmonics, s)
+        x, slope, bend = states = [row @ self.c for row in rows]
         covector = np.zeros((len(s), self.c.shape[1]))
-        covector[each, joint] = 1.0 / self.scale(kind)[joint]
-        x, slope, bend = (row @ self.c for row in rows)
-        slopes = {kind: covector}
+        covector[each, joint] = 1.0 / scale
         if kind == _TORQUE:
-            by_state = torque_slopes(self.connection, x, slope, bend, covector)
-            slopes = dict(enumerate(np.split(by_state, 3, axis=1)))
-        rates = (slope, bend, self.third_derivatives(rows[1]))
-        by_c = sum(rows[k][:, :, None] * slope[:, None] for k, slope in slopes.items())
-        rate = sum((slope * rates[k]).sum(axis=1) for k, slope in slopes.items())
-        by_c = by_c + np.multiply.outer(rate, checks.shifts)
-        return self.scaled(kind, s)[each, joint], np.asarray(by_c)
+            q = torques(self.connection, x, slope, bend)[each, joint]
+            slopes = dict(
+                enumerate(
+                    np.split(torque_slopes(self.connection, x, slope, bend, covector), 3, axis=1)
+                )
+            )
+        else:
+            q, slopes = states[kind][each, joint], {kind: covector}
+            q = q - self.limits.middle[joint] * (kind == 0)
+        rates = (*states[1:], self.third_derivatives(rows[1]))
+        by_c = sum(rows[k][:, :, None] * by_state[:, None] for k, by_state in slopes.items())
+        rate = sum((by_state * rates[k]).sum(axis=1) for k, by_state in slopes.items())
+        return q / scale, np.asarray(by_c + np.multiply.outer(rate, checks.shifts))
 
     def third_derivatives(self, slope_rows: Array) -> Array:
         """Return x‴, (N, m), from the rows of first derivatives."""
         k = 2.0 * np.pi * np.arange(1.0, self.harmonics + 1.0)
         return np.asarray(slope_rows @ (-(np.concatenate([[0.0], k, k])[:, None] ** 2) * self.c))
 
-    def peaks_beyond(self) -> Times:
-        """Return the local maxima of |q| that exceed 1."""
+    def peaks_beyond(self, level: float = 1.0) -> Times:
+        """Return the local maxima of |q| that exceed a level."""
         found = [Times(*(np.zeros(0, dtype) for dtype in (int, int, float, float)))]
         count = _SAMPLES * (self.harmonics + 1)
         for kind, size in enumerate((self.limits.reach, self.limits.speed, self.limits.torque)):
@@ -201,7 +236,7 @@ class LimitedLoop:
             q = self.scaled(kind, np.arange(count) / count)
             inner, before, after = np.abs(q), np.roll(np.abs(q), 1, 0), np.roll(np.abs(q), -1, 0)
             bound = inner + np.abs(after - before) + np.abs(after - 2.0 * inner + before)
-            k, joint = np.nonzero((inner >= before) & (inner >= after) & (bound > 1.0))
+            k, joint = np.nonzero((inner >= before) & (inner >= after) & (bound > level))
             if not len(k):
                 continue
             sign, s, step = np.sign(q[k, joint]), k / count, 1.0 / count
@@ -214,7 +249,7 @@ class LimitedLoop:
                 vertex = np.divide(-slope, bend, out=np.zeros_like(s), where=bend < 0.0)
                 s = s + step * np.clip(vertex, -1.0, 1.0)
                 step *= _NARROWER
-            beyond = sign * self.scaled(kind, s)[each[:, 0], joint] > 1.0
+            beyond = sign * self.scaled(kind, s)[each[:, 0], joint] > level
             found.append(
                 Times(np.full(beyond.sum(), kind), joint[beyond], sign[beyond], s[beyond] % 1.0)
             )

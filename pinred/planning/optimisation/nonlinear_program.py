@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...common.arrays import Array
 
@@ -23,6 +24,16 @@ _SMALLEST = 1e-5  # size of the smallest box, relative to its centre
 _EDGE = 0.999  # part of the radius of its box at which a run has reached the edge
 _LESS = 0.5  # a run from a point that violates constraints succeeds if it leaves this part
 _VIOLATION = 1e-8  # largest violation of a constraint at a minimum
+_LONGEST = 40  # largest number of iterations of a run with equations
+_MISSES = 3  # number of runs without a feasible point after which the search ends
+_SHARP_STEPS = 10  # largest number of iterations of a run with the Hessian
+_STEP_SIZE = 0.1  # half width of its box, in the units of the Hessian
+_SHARP = 1e-7  # KKT residual below which no run with the Hessian follows
+_SHARPENINGS = 4  # largest number of runs with the Hessian
+_NEAR = 1e-4  # relative distance to a bound below which a constraint is part of the Lagrangian
+_STEP = 1e-6  # step of differences of gradients, relative to the largest unknown
+_FLAT = 1e-6  # smallest bend of an axis of the Hessian, relative to the largest one
+_FINE = 1e-14  # SLSQP's tolerance in the units of the Hessian
 _UNDEFINED = 1e10  # value of functions that are not defined, from which line searches retreat
 
 
@@ -60,6 +71,11 @@ class Problem:
         """Return (f, g, R z), (1 + k + l,), and its derivatives, (1 + k + l, n)."""
         return self._evaluated(np.asarray(z, dtype=float).tobytes())
 
+    @property
+    def equations(self) -> NDArray[np.bool_]:
+        """Whether both bounds of each constraint are equal, (k + l,)."""
+        return np.asarray(self.lower == self.upper)
+
     def violation(self, z: Array) -> float:
         """Return the largest violation of a constraint; NaN if one is not defined."""
         values = self.at(z)[0][1:]
@@ -73,18 +89,27 @@ class Minimum:
 
     Attributes:
         z: Unknowns at the final iterate, (n,).
+        value: Objective at z.
         status: Message of the last run of SLSQP.
         iterations: Number of iterations.
         residual: Residual of the optimality conditions at z; see `kkt_residual`.
     """
 
     z: Array
+    value: float
     status: str
     iterations: int
     residual: float
 
 
-def minimum(problem: Problem, start: Array, *, most: int = 1000, radius: float = np.inf) -> Minimum:
+def minimum(
+    problem: Problem,
+    start: Array,
+    *,
+    most: int = 1000,
+    radius: float = np.inf,
+    once: bool = False,
+) -> Minimum:
     """Find a local minimum near an initial point.
 
     SLSQP also ends where a line search makes no progress.  Runs are therefore repeated, each with
@@ -97,66 +122,144 @@ def minimum(problem: Problem, start: Array, *, most: int = 1000, radius: float =
         start: Initial point, (n,).
         most: Maximum number of iterations.
         radius: Half width of the first box around the start.
+        once: Whether the search ends after a run that SLSQP calls successful.
     Returns:
         The result at the final iterate.
     """
-    z, left, status = start, most, ""
+    z, left, status, misses = start, most, "", 0
+    longest = max(_LONGEST, 2 * problem.size)
     for _ in range(_RUNS):
         # Boxes are relative to the current point: below its round-off, both edges would be equal.
         size = max(float(np.abs(z).max()), 1e-300)
-        run = _run(problem, z, left, radius)
-        trial, status, left = np.asarray(run.x, dtype=float), str(run.message), left - int(run.nit)
+        run = _run(problem, z, min(left, longest), radius=radius)
+        trial, status, left = run.x, str(run.message), left - int(run.nit)
         value, violation = problem.at(z)[0][0], problem.violation(z)
-        gain = value - problem.at(trial)[0][0]
-        if not problem.violation(trial) <= max(_VIOLATION, _LESS * violation):
+        gain, left_over = value - problem.at(trial)[0][0], problem.violation(trial)
+        feasible, at_edge = violation <= _VIOLATION, np.abs(trial - z).max() > _EDGE * radius
+        if not left_over <= max(_VIOLATION, _LESS * violation):
             radius = _SMALLER * min(radius, size)
-        elif violation > _VIOLATION:
-            z = trial
+            misses += not feasible
         else:
-            at_edge = np.abs(trial - z).max() > _EDGE * radius
-            z = trial if gain > 0.0 else z
-            radius /= _SMALLER
-            if not at_edge and gain <= _GAIN * abs(value):
+            z = trial if gain > 0.0 or not feasible else z
+            done = once and run.success and left_over <= _VIOLATION
+            done |= feasible and gain <= _GAIN * abs(value)
+            if done and not at_edge and run.nit < longest:
                 break
-        if left <= 0 or radius < _SMALLEST * size:
+            radius /= _SMALLER if feasible else 1.0
+        if left <= 0 or radius < _SMALLEST * size or misses >= _MISSES:
             break
-    return Minimum(z, status, most - left, kkt_residual(problem, z))
+    value = float(problem.at(z)[0][0])
+    return Minimum(z, value, status, most - left, kkt_residual(problem, z))
 
 
-def _run(problem: Problem, start: Array, most: int, radius: float) -> Any:
-    """Run SLSQP once, in a box around its start, with the objective scaled by its gradient."""
+def sharpened(problem: Problem, best: Minimum) -> Minimum:
+    """Improve a minimum by Newton's method: runs of SLSQP that begin with the Hessian.
+
+    Args:
+        problem: The problem.
+        best: A minimum of the problem, by `minimum`.
+    Returns:
+        The improved minimum, or the given one if its residual is not reduced.
+    """
+    for _ in range(_SHARPENINGS):
+        if not _SHARP < best.residual < np.inf:
+            break
+        units = _newton_units(problem, best.z)
+        run = _run(problem, best.z, _SHARP_STEPS, radius=_STEP_SIZE, units=units)
+        residual = kkt_residual(problem, run.x)
+        if not residual < best.residual:
+            break
+        best = replace(
+            best, z=run.x, value=float(problem.at(run.x)[0][0]), residual=residual,
+            iterations=best.iterations + int(run.nit),
+        )  # fmt: skip
+    return best
+
+
+def _newton_units(problem: Problem, z: Array) -> Array:
+    """Return units U, (n, n), of steps z = z₀ + U y, in which the Hessian of the Lagrangian is 1.
+
+    This holds for steps along active constraints.  Steps across them have a single unit.
+    """
+    multipliers = _multipliers(problem, z, _NEAR)[1]
+    weights = np.append(1.0 / abs(problem.at(z)[0][0]), multipliers)
+    step = _STEP * max(float(np.abs(z).max()), 1e-300)
+    gradients = [weights @ problem.at(each)[1] for each in z + step * np.eye(len(z))]
+    H = (np.array(gradients) - weights @ problem.at(z)[1]) / step
+    normals = problem.at(z)[1][1:][multipliers != 0.0]
+    axes, sizes, _ = np.linalg.svd(normals.T)
+    rank = int((sizes > _STEP * sizes.max(initial=0.0)).sum())
+    across, along = np.split(axes, [rank], axis=1)
+    bends, mixture = np.linalg.eigh(along.T @ (H + H.T) @ along)
+    size = float(np.abs(bends).max(initial=0.0)) or 1.0
+    bends = np.append(np.full(rank, size), np.maximum(np.abs(bends), _FLAT * size))
+    return np.asarray(np.hstack([across, along @ mixture]) / np.sqrt(0.5 * bends))
+
+
+def _run(
+    problem: Problem, start: Array, most: int, *, radius: float = np.inf, units: Array | None = None
+) -> Any:
+    """Run SLSQP once, with the objective scaled by its gradient, or by its value with units.
+
+    The products of equations with their multipliers, and half of their squares, are added to the
+    objective.  They are zero where the equations hold.  Without them, line searches accept only
+    short steps along curved equations.
+
+    Args:
+        problem: The problem.
+        start: Initial point, (n,).
+        most: Maximum number of iterations.
+        radius: Half width of a box around the start, in the unknowns of the run.
+        units: Units U of the unknowns y with z = start + U y, or None for the unknowns z.
+    Returns:
+        SciPy's result.
+    """
     from scipy.optimize import minimize
 
-    lower, upper = problem.lower, problem.upper
-    fixed = lower == upper
+    lower, upper, fixed = problem.lower, problem.upper, problem.equations
     low, high = np.isfinite(lower) & ~fixed, np.isfinite(upper) & ~fixed
-    gradient = float(np.linalg.norm(problem.at(start)[1][0]))
+    values, slopes = problem.at(start)
+    size, gradient = abs(values[0]), float(np.linalg.norm(slopes[0]))
     scale = 1.0 / gradient if 0.0 < gradient < np.inf else 1.0
+    weights = np.zeros(int(fixed.sum()))
+    if fixed.any() and size > 0.0:
+        weights = _multipliers(problem, start, _NEAR)[1][fixed]
+    if units is None:
+        first, tolerance, units = start, _TOLERANCE, np.eye(len(start))
+        origin = np.zeros(len(start))
+    else:
+        first, tolerance, origin, scale = np.zeros(len(start)), _FINE, start, 1.0 / size
 
     @lru_cache(maxsize=1)
     def parts(key: bytes) -> tuple[Array, ...]:
         """Return objective, equations and inequalities with their derivatives."""
-        values, slopes = problem.at(np.frombuffer(key))
+        values, slopes = problem.at(origin + units @ np.frombuffer(key))
         if not (np.isfinite(values).all() and np.isfinite(slopes).all()):
             values, slopes = np.full_like(values, _UNDEFINED), np.zeros_like(slopes)
+        slopes = slopes @ units
         g, J = values[1:], slopes[1:]
+        error, by_y = (g - lower)[fixed], J[fixed]
+        terms = weights * error
         return (
-            scale * values[0], scale * slopes[0], (g - lower)[fixed], J[fixed],
+            scale * (values[0] + size * (terms + 0.5 * terms**2).sum()),
+            scale * (slopes[0] + size * ((1.0 + terms) * weights) @ by_y), error, by_y,
             np.concatenate([(g - lower)[low], (upper - g)[high]]), np.vstack([J[low], -J[high]]),
         )  # fmt: skip
 
     def pick(k: int) -> Callable[[Array], Array]:
-        return lambda z: parts(z.tobytes())[k]
+        return lambda y: parts(y.tobytes())[k]
 
     kinds = (("eq", fixed.any(), 2), ("ineq", low.any() or high.any(), 4))
     constraints = [
         {"type": kind, "fun": pick(k), "jac": pick(k + 1)} for kind, used, k in kinds if used
     ]
-    bounds = np.stack([start - radius, start + radius], axis=1) if radius < np.inf else None
-    return minimize(
-        pick(0), start, jac=pick(1), method="SLSQP", constraints=constraints, bounds=bounds,
-        options={"maxiter": max(most, 1), "ftol": _TOLERANCE},
+    bounds = np.stack([first - radius, first + radius], axis=1) if radius < np.inf else None
+    run = minimize(
+        pick(0), first, jac=pick(1), method="SLSQP", constraints=constraints, bounds=bounds,
+        options={"maxiter": max(most, 1), "ftol": tolerance},
     )  # fmt: skip
+    run.x = origin + units @ np.asarray(run.x, dtype=float)
+    return run
 
 
 def kkt_residual(problem: Problem, z: Array, *, active: float = 1e-6) -> float:
@@ -173,21 +276,31 @@ def kkt_residual(problem: Problem, z: Array, *, active: float = 1e-6) -> float:
     Returns:
         The residual; inf if a constraint is violated, a value is not finite, or f is zero.
     """
-    from scipy.optimize import nnls
-
     values, slopes = problem.at(z)
     if not (np.isfinite(values).all() and np.isfinite(slopes).all() and values[0]):
         return np.inf
     if not problem.violation(z) <= _VIOLATION:
         return np.inf
+    size = float(np.linalg.norm(_multipliers(problem, z, active)[0]))
+    return size if np.isfinite(size) else np.inf
+
+
+def _multipliers(problem: Problem, z: Array, active: float) -> tuple[Array, Array]:
+    """Return (∇f + Σ λᵢ ∇cᵢ) / |f|, (n,), of least norm, and the multipliers λ / |f|, (k + l,)."""
+    from scipy.optimize import nnls
+
+    values, slopes = problem.at(z)
     residual, constraints, gradients = slopes[0] / abs(values[0]), values[1:], slopes[1:]
     tolerance = active * np.maximum(1.0, np.abs(constraints))
-    high = problem.upper - constraints < tolerance
-    low = constraints - problem.lower < tolerance
-    normals = np.vstack([gradients[high], -gradients[low]])
+    high = np.flatnonzero(problem.upper - constraints < tolerance)
+    low = np.flatnonzero(constraints - problem.lower < tolerance)
+    rows, signs = np.append(high, low), np.append(np.ones(len(high)), -np.ones(len(low)))
+    normals = signs[:, None] * gradients[rows]
     norms = np.linalg.norm(normals, axis=1)
-    if (norms > 0.0).any():
-        normals = normals[norms > 0.0] / norms[norms > 0.0, None]
-        residual = residual + nnls(normals.T, -residual)[0] @ normals
-    size = float(np.linalg.norm(residual))
-    return size if np.isfinite(size) else np.inf
+    rows, signs, normals, norms = (each[norms > 0.0] for each in (rows, signs, normals, norms))
+    multipliers = np.zeros(len(constraints))
+    if len(rows):
+        found = nnls((normals / norms[:, None]).T, -residual)[0] / norms
+        residual = residual + found @ normals
+        np.add.at(multipliers, rows, signs * found)
+    return residual, multipliers

@@ -1,4 +1,4 @@
-"""optimise_gait(): find the loop that moves the base most, relative to a cost."""
+"""optimise_gait(): find loops that move the base much, relative to a cost."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ from ...common.progress import Progress, shown
 from .best_gait import BestGait, Optimum, group_optima
 from .gait_search import (
     RESIDUAL,
+    End,
     Search,
     StartFailed,
     TargetMissed,
-    check_target,
     finish,
     fourier_path_of,
+    loop_to_target,
     measure,
 )
 from .limits import LimitsLike, limits_of, margins, require_two_joints
-from .nonlinear_program import Minimum, minimum
+from .nonlinear_program import Minimum, minimum, sharpened
 from .objective import (
     AIMS,
     AimKind,
@@ -39,7 +40,7 @@ from .objective import (
     check_cost,
     target_aim,
 )
-from .transcription import Path, Task, problem_of
+from .transcription import CONVEX, Path, Task, problem_of
 
 _PIECES = 1  # number of quadrature segments of order 16 for each edge
 
@@ -104,7 +105,7 @@ def optimise_gait(
     seed: int = 0,
     progress: Progress | bool | None = None,
 ) -> BestGait:
-    """Find the best loop in shape space at zero momentum, with all local optima.
+    """Find the best local optimum of several starts among loops in shape space at zero momentum.
 
     The maximised merit is the objective per cost.  The cost enters with the power that makes the
     merit independent of the size of small loops: length, √torque, ⁴√power, √acceleration or time.
@@ -139,7 +140,7 @@ def optimise_gait(
         seed: Seed of the random numbers for the initial loops.
         progress: True for a progress bar, or a function called with the completed fraction.
     Returns:
-        The best loop and the other local optima.
+        The best local optimum of the starts, and the others. Other starts may reach a better loop.
     Raises:
         InputError: The options are invalid or contradict each other.
         SymmetryError: Gravity rotates the base.
@@ -160,6 +161,7 @@ def optimise_gait(
         whole(harmonics, "harmonics"), whole(starts, "starts"), whole(seed, "seed", 0)
     )  # fmt: skip
     optima: list[Optimum] = []
+    known: list[End] = []
     failures: list[Exception] = []
     with shown(progress, "gaits", what="optimises a gait", reports=True) as report:
         for k in range(starts):
@@ -169,7 +171,7 @@ def optimise_gait(
                     optima.append(_optimise_polygon(task, vertices, rng))
                 else:
                     change = _PERTURBATIONS[min(k, 1)]
-                    optima.append(_optimise_fourier(task, harmonics, winding, rng, change))
+                    optima.append(_optimise_fourier(task, harmonics, winding, rng, change, known))
             except (StartFailed, SingularInertiaError, IntegrationError) as error:
                 failures.append(error)
             if report is not None:
@@ -218,6 +220,15 @@ def _check_task(task: Task) -> None:
         raise InputError(
             "cost 'time' needs limits of speeds or torques, which bound the period from below"
         )
+    if (
+        isinstance(task.aim, AxisAim)
+        and task.aim.kind == "displacement"
+        and connection.is_mechanical
+    ):
+        raise InputError(
+            "objective: at zero momentum the centre of mass rests, so a loop displaces nothing "
+            "without rotation. Use 'rotation', a target, or a connection by drag, fluids or wheels."
+        )
     if isinstance(task.aim, TargetAim) and (cost is None or task.most is not None):
         raise InputError("objective 'target' minimises a cost. Pass cost= and omit most=.")
     if task.most is not None and cost is None:
@@ -255,7 +266,12 @@ def _check_loops(task: Task, vertices: int | None, winding: int | None) -> None:
 
 
 def _optimise_fourier(
-    task: Task, harmonics: int, winding: int | None, rng: np.random.Generator, change: float
+    task: Task,
+    harmonics: int,
+    winding: int | None,
+    rng: np.random.Generator,
+    change: float,
+    known: list[End],
 ) -> Optimum:
     """Return the optimum reached from a random ellipse.
 
@@ -265,6 +281,7 @@ def _optimise_fourier(
         winding: Winding number 1, or None for any.
         rng: Random numbers.
         change: Relative perturbation before the last stage.
+        known: Ends of the searches from other ellipses, to which this one is added.
     Returns:
         The optimum.
     Raises:
@@ -274,18 +291,26 @@ def _optimise_fourier(
     continued = winding is not None or m > 2
     ladder = sorted({h for h in _CONTINUED if h < harmonics and continued} | {harmonics})
     gait = _initial_loop(task, ladder[0], rng)
-    if isinstance(task.aim, TargetAim):
-        check_target(task, fourier_path_of(task, harmonics), gait)
-    for h in ladder[:-1]:
-        search = Search(task, fourier_path_of(task, h, action=True))
-        gait = search.gait(search.optimise_from(gait).z)
     search = Search(task, fourier_path_of(task, harmonics))
+    targeted = isinstance(task.aim, TargetAim)
+    reached = loop_to_target(task, search.path, gait) if targeted else gait
+    for h in ladder[:-1]:
+        stage = Search(task, fourier_path_of(task, h, action=True))
+        gait = stage.gait(stage.optimise_from(gait, once=True).z)
     if len(ladder) > 1:
         z = search.unknowns(gait)
         y = z[: search.path.size]  # the loop without its period, which stays positive
         y += change * np.abs(y).max() * rng.uniform(-1.0, 1.0, len(y))
         gait = search.gait(z)
-    search, best = finish(search, gait)
+    if targeted:
+        try:
+            gait = loop_to_target(task, search.path, gait)
+        except TargetMissed:
+            gait = reached
+    end = finish(search, gait, known=known)
+    if end not in known:
+        known.append(end)
+    search, best = end.search, end.best
     gait = search.gait(best.z)
     turns = None
     if m == 2:
@@ -321,11 +346,12 @@ def _winding(gait: Gait) -> float:
 
 def _verify(search: Search, best: Minimum, gait: Gait, turns: float | None) -> Optimum:
     """Return the certificate of an optimum.  Raises StartFailed."""
-    if not best.residual <= RESIDUAL:
-        raise StartFailed(f"no optimum was reached in {best.iterations} iterations ({best.status})")
     task = search.task
+    residual = best.residual / (CONVEX if isinstance(task.aim, TargetAim) else 1)
+    if not residual <= RESIDUAL:
+        raise StartFailed(f"no optimum was reached in {best.iterations} iterations ({best.status})")
     return Optimum(
-        **vars(measure(search, best, gait)), residual=best.residual,
+        **vars(measure(search, best, gait)), residual=residual,
         margins=margins(task.connection, gait, task.limits), winding=turns,
     )  # fmt: skip
 
@@ -352,6 +378,6 @@ def _optimise_polygon(task: Task, vertices: int, rng: np.random.Generator) -> Op
         lower=np.concatenate([problem.lower, low, np.zeros(vertices)]),
         upper=np.concatenate([problem.upper, high, np.full(vertices, np.inf)]),
     )  # fmt: skip
-    best = minimum(problem, y)
+    best = sharpened(problem, minimum(problem, y))
     gait = polygon_gait(path, best.z, task.period)
     return _verify(Search(task, path), best, gait, _winding(gait))

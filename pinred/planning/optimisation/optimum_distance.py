@@ -63,5 +63,5 @@ def distance_of(task: Task, gait: Gait, merit: float, cost: float) -> OptimumDis
 def _doubled(task: Task, gait: Gait) -> float:
     """Return the merit of the optimum with twice the harmonics.  Raises StartFailed."""
     search = Search(task, fourier_path_of(task, 2 * len(gait.series.cos)))
-    search, best = finish(search, gait)
-    return measure(search, best, search.gait(best.z)).merit
+    end = finish(search, gait)
+    return measure(end.search, end.best, end.search.gait(end.best.z)).merit

@@ -32,7 +32,10 @@ from .objective import (
     cost_of,
 )
 
-_INSIDE = 5e-8  # relative margin of checks inside the limits, which peaks between them may use
+_INSIDE = 1.5e-8  # relative margin of checks inside the limits, which peaks between them may use
+# Power of the size of a loop that is minimised for a target.  Small loops reach targets in
+# proportion to the square of their size, so that smaller powers are not convex in the target.
+CONVEX = 4
 _SHORTEST = 1e-6  # lower bound of a variable period [s]
 
 
@@ -212,8 +215,9 @@ def problem_of(task: Task, path: Path) -> Problem:
         power = 1.0 / DEGREES[task.cost or "time"]
         root = size_of_cost**power
         if isinstance(aim, TargetAim) and cost is not None:
-            factor = power * root / size_of_cost
-            add(np.array([root]), factor * cost.slope[None], factor * cost.by_log_period / T)
+            powered = root**CONVEX
+            factor = CONVEX * power * powered / size_of_cost
+            add(np.array([powered]), factor * cost.slope[None], factor * cost.by_log_period / T)
             residual, by_twist = aim.error(lift.pose)
         elif isinstance(aim, AxisAim):
             value, by_twist = aim.value(lift.pose)

@@ -172,7 +172,8 @@ def _shortest_loop(task: Task, aim: TargetAim, gait: Gait, start: Array) -> Gait
         edge = _EDGE * task.limits.reach[:, None] * np.array([1.0, -1.0])
         task = replace(task, limits=replace(task.limits, shape=task.limits.shape + edge))
     search = Search(task, fourier_path_of(task, _HARMONICS, start=start, action=True))
-    search, best = finish(search, gait, most=_ITERATIONS)
+    end = finish(search, gait, most=_ITERATIONS, sharp=False)
+    search, best = end.search, end.best
     if not _newton_step(task, aim, search.path, best.z)[0] <= _REACHED:
         raise StartFailed(f"the optimiser did not reach the target ({best.status})")
     return search.gait(best.z)
