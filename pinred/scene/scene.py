@@ -21,7 +21,9 @@ from ..forces.force import Force
 from ..forces.signals import Attitude, Constant
 from ..forces.signals.attitude_signal import parse_attitude
 from ..integrators.methods import Method
+from ..system.coordinates import InitialState
 from ..system.model_parameters import ModelParameters
+from ..system.robot_file_contents import Keyframe
 from ..system.system import checked_system
 from ..system.variants import nominal
 from . import input_formats
@@ -358,7 +360,7 @@ class Scene(SceneFields):
         if self.q0 is not None:
             configuration = input_formats.parse_configuration(self.q0, system)
             pose, x = configuration.pose, configuration.x
-        default = keyframe
+        default: Keyframe | InitialState | None = keyframe
         if all(getattr(self, name) is None for name in ("keyframe", "x0", "xdot0", "q0", "v0")):
             default = system.initial if self.seed is None else random_state(system, self.seed)
             self._require_state()
@@ -367,8 +369,9 @@ class Scene(SceneFields):
         if self.v0 is not None:
             velocity = input_formats.parse_velocity(self.v0, system)
             xi, xdot = velocity.xi, velocity.xdot
-        if self.xdot0 is not None:
-            xdot = vector(self.xdot0, system.m, "xdot0", system.shape_names)
+        rates: Any = self.xdot0
+        if rates is not None:
+            xdot = vector(rates, system.m, "xdot0", system.shape_names)
         if self.xi0 is not None:
             xi = vector(self.xi0, system.r, "xi0")
         refuse_vague(x, system)

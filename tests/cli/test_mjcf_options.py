@@ -123,7 +123,7 @@ def test_keyframe_excludes_other_state_options(path: Path) -> None:
 
 
 KEPT = {"xdot0": [0.7], "xi0": [0, 0, 1, 0, 0, 0]}  # velocities of the keyframe
-VELOCITIES = {
+VELOCITIES: dict[str, tuple[str, dict[str, Any]]] = {
     "momentum": ("0", {"momentum": [0] * 6, "xi0": None}),
     "xi0": ("[0, 1, 0, 0, 0, 2]", {"xi0": [0, 1, 0, 0, 0, 2]}),
     "xdot0": ("[0.2]", {"xdot0": [0.2]}),
@@ -138,7 +138,7 @@ def test_keyframe_with_a_stated_velocity_keeps_everything_else(
     """In Python, files and commands, the shape and the other velocities are the keyframe's."""
     written, changed = VELOCITIES[name]
     file = path.with_name("scene.toml")
-    value: object = tomllib.loads(f"v = {written}")["v"]
+    value: Any = tomllib.loads(f"v = {written}")["v"]
     head = 'robot = "robot.xml"\nload = {root = "robot"}\n[start]\nkeyframe = "home"\n'
     file.write_text(f"{head}{name} = {written}\n")
     system = pinred.load(path, root="robot")
@@ -147,7 +147,7 @@ def test_keyframe_with_a_stated_velocity_keeps_everything_else(
     flag = f"--{name}={written.strip('[]').replace(' ', '')}"
     words = ("--keyframe", "home", flag, "--out", str(out))
     assert run(capsys, "simulate", str(path), *ROBOT, *words)[0] == 0
-    expected = KEPT | changed
+    expected: dict[str, Any] = KEPT | changed
     assert pinred.read_recording(out).xdot[0] == pytest.approx(expected["xdot0"])
     scenes = [pinred.Scene(system=system, **options), pinred.load_scene(file)]
     for scene in scenes:
@@ -161,10 +161,6 @@ def test_keyframe_with_a_stated_velocity_keeps_everything_else(
         else:
             assert given.mu is not None
             assert given.mu[0] == pytest.approx(expected["momentum"])
-    many = pinred.simulate_many(
-        system,
-        keyframe="home",
-        **{name: np.reshape(value, (1, -1)) if np.ndim(value) else [[0.0] * 6]},
-        duration=0.1,
-    )
+    rows: dict[str, Any] = {name: np.reshape(changed.get(name, value), (1, -1))}
+    many = pinred.simulate_many(system, keyframe="home", **rows, duration=0.1)
     assert many.xdot[0, 0] == pytest.approx(expected["xdot0"])
