@@ -38,7 +38,7 @@ from .plan import Plan
 from .sample import Sample, map_samples
 
 _POINTS = 8  # Number of Gauss points in each step.
-_RESOLVED = 1e-12  # highest Legendre terms of resolved steps, relative to the largest integrand
+_RESOLVED = 1e-9  # highest Legendre terms of resolved steps, relative to the largest integrand
 _HALVINGS = 8  # largest number of times that a step is halved
 _ENTRIES = 2**18  # Number of entries of mass matrices that are in memory at once.
 _DRIVES = "prescribed joints"  # Label for the work done by the drives of prescribed joints.
