@@ -48,6 +48,7 @@ from .analysis.phases.phase import phase as phase
 from .analysis.phases.rigid_body import RigidBodyPhase as RigidBodyPhase
 from .analysis.phases.rigid_body import rigid_body_phase as rigid_body_phase
 from .analysis.phases.screw import Screw as Screw
+from .analysis.reaction_free_path import ReactionFreePath as ReactionFreePath
 from .analysis.stability.along_motions import FloquetMultipliers as FloquetMultipliers
 from .analysis.stability.along_motions import LyapunovSpectrum as LyapunovSpectrum
 from .analysis.stability.along_motions import floquet as floquet

@@ -19,13 +19,15 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..common.argument_kinds import checks_arguments
-from ..common.arrays import Array, FrozenArrays, read_only, vector, vectors, whole
+from ..common.arrays import Array, FrozenArrays, positive, read_only, vector, vectors, whole
 from ..common.errors import InputError
 from ..common.names import joint_index, listed, nearest, quoted
+from ..system.stated_limits import limits_of
 from ..system.system import System, checked_system
 from .arm_workspace import Workspace, workspace_of
 from .connections.rotation_chart import RotationChart
 from .full_reduction import Reduction
+from .reaction_free_path import ReactionFreePath, integrate_path
 
 Axes = Literal["local", "world"]
 _FRAMES = {"local": pin.LOCAL, "world": pin.LOCAL_WORLD_ALIGNED}
@@ -285,8 +287,7 @@ class FloatingArm:
         Raises:
             InputError: `of` is neither "base" nor "attitude".
         """
-        if of not in ("base", "attitude"):
-            raise InputError(f"of: expected 'base' or 'attitude', got {of!r}")
+        _checked_part(of)
         A = self._reduction.local_connection(self._at(x, None)[0])
         if of == "attitude":
             A = A[self.system.group.linear :]
@@ -295,6 +296,62 @@ class FloatingArm:
         _, values, right = np.linalg.svd(A)
         rank = int((values > _NO_REACTION * max(float(values[0]), 1e-300)).sum())
         return read_only(right[rank:].T.copy())
+
+    def reaction_free_path(
+        self,
+        x0: ArrayLike,
+        direction: ArrayLike | None = None,
+        *,
+        length: float = 2.0 * np.pi,
+        of: Literal["base", "attitude"] = "attitude",
+        limits: Sequence[tuple[float, float]] | None = None,
+    ) -> ReactionFreePath:
+        """Integrate a path of shapes along which the base does not turn, at zero momentum.
+
+        The path is the straightest one in the null space. It ends at its length, at a limit of a
+        joint or at a singular shape, where the null space changes its dimension.
+
+        Args:
+            x0: First shape, (m,) [rad | m].
+            direction: Joint rates, (m,), whose part in `null_space` starts the path. None if the
+                null space has one dimension: the largest joint rate is then positive.
+            length: Largest length of the path in joint space [rad | m].
+            of: "attitude" for paths on which the base does not turn, "base" for paths on which it
+                does not move either.
+            limits: (low, high) of each joint [rad | m]; None: the limits of the robot's file.
+        Returns:
+            The path, with signals for `prescribed` of a Scene.
+        Raises:
+            InputError: The robot has balls, x0 is singular or outside the limits, no direction is
+                free of reactions, or an argument is invalid.
+        """
+        system = self.system
+        if system.space.balls:
+            raise InputError(
+                f"reaction_free_path: expected hinges and slides, got ball joint "
+                f"'{system.space.balls[0].name}'. Lock it, or state it as three hinges"
+            )
+        rows = slice(0 if _checked_part(of) == "base" else system.group.linear, None)
+        if limits is None:
+            bounds = np.tile([-np.inf, np.inf], (system.m, 1))
+            for limit in limits_of(system):
+                if limit.kind == "position" and limit.joint in system.shape_names:
+                    bounds[system.shape_names.index(limit.joint)] = limit.lower, limit.upper
+        else:
+            bounds = vectors(limits, 2, "limits")
+        if bounds.shape != (system.m, 2) or not (bounds[:, 0] < bounds[:, 1]).all():
+            raise InputError(f"limits must be (low, high) for each of {system.m} joints")
+
+        def connection_rate(x: Array, xdot: Array) -> Array:
+            return np.asarray(np.einsum("rab,b->ra", self._reduction.at(x).dA, xdot)[rows])
+
+        given = direction
+        if given is not None:
+            given = vector(given, system.m, "direction", system.shape_names)
+        return integrate_path(
+            system, lambda x: self._reduction.local_connection(x)[rows], connection_rate,
+            self._at(x0, None)[0], given, positive(length, "length"), bounds,
+        )  # fmt: skip
 
     def workspace(
         self,
@@ -395,3 +452,10 @@ class FloatingArm:
         q = self.system.sorted_q(g, x)
         J = pin.computeFrameJacobian(model, data, q, self._id, _FRAMES[axes])
         return np.asarray(self.system.on_shape(J))
+
+
+def _checked_part(of: str) -> str:
+    """Return the part of the motion of the base that a null space excludes, if it is valid."""
+    if of not in ("base", "attitude"):
+        raise InputError(f"of: expected 'base' or 'attitude', got {of!r}")
+    return of

@@ -21,7 +21,9 @@ from ..forces.force import Force
 from ..forces.signals import Attitude, Constant
 from ..forces.signals.attitude_signal import parse_attitude
 from ..integrators.methods import Method
+from ..system.coordinates import InitialState
 from ..system.model_parameters import ModelParameters
+from ..system.robot_file_contents import Keyframe
 from ..system.system import checked_system
 from ..system.variants import nominal
 from . import input_formats
@@ -367,24 +369,24 @@ class Scene(SceneFields):
         pose = system.group.identity() if keyframe is None else keyframe.pose
         if self.pose0 is not None:
             pose = system.group.pose(self.pose0)
-        x = self._initial_shape()
-        xdot = _or_zero(self.xdot0, system.m, "xdot0", system.shape_names)
-        xi = _or_zero(self.xi0, system.r, "xi0", system.group.twist_names)
+        x, xdot, xi = self._initial_shape(), np.zeros(system.m), np.zeros(system.r)
         if self.q0 is not None:
             configuration = input_formats.parse_configuration(self.q0, system)
             pose, x = configuration.pose, configuration.x
+        default: Keyframe | InitialState | None = keyframe
+        if all(getattr(self, name) is None for name in ("keyframe", "x0", "xdot0", "q0", "v0")):
+            default = system.initial if self.seed is None else random_state(system, self.seed)
+            self._require_state()
+        if default is not None:
+            x, xdot, xi = default.x, default.xdot, default.xi
         if self.v0 is not None:
             velocity = input_formats.parse_velocity(self.v0, system)
             xi, xdot = velocity.xi, velocity.xdot
-        default = keyframe or (
-            system.initial if self.seed is None else random_state(system, self.seed)
-        )
-        if self.x0 is None and self.xdot0 is None and self.q0 is None and self.v0 is None:
-            if default is None:
-                self._require_state()
-            else:
-                x, xdot = default.x, default.xdot
-                xi = default.xi if self.xi0 is None else xi
+        rates: Any = self.xdot0
+        if rates is not None:
+            xdot = vector(rates, system.m, "xdot0", system.shape_names)
+        if self.xi0 is not None:
+            xi = vector(self.xi0, system.r, "xi0", system.group.twist_names)
         refuse_vague(x, system)
         x, xdot = x[None], xdot[None]
         if self.force_model is not None:
@@ -444,8 +446,3 @@ Scene.__doc__ = (Scene.__doc__ or "").replace(
 def _scene_of(options: dict[str, Any]) -> Scene:
     """Rebuild a pickled scene."""
     return Scene(**options)
-
-
-def _or_zero(value: Any, size: int, what: str, labels: Any = ()) -> Array:
-    """Return the option `what` as a vector (size,), with zeros if it is None."""
-    return np.zeros(size) if value is None else vector(value, size, what, labels)

@@ -141,9 +141,9 @@ class SceneFields:
     ))  # fmt: skip
     keyframe: str | None = field(default=None, metadata=_option(
         Text((), "the name of a keyframe"),
-        "name of a state in an MJCF file, which replaces all of the state except pose0",
+        "name of a state in an MJCF file; pose0, xdot0, xi0, momentum or v0 replace parts of it",
         formats="a name in System.keyframes", table="start",
-        command="--keyframe K", replaces=(*_STATE, "seed"), scope="a whole state",
+        command="--keyframe K", replaces=("x0", "q0", "seed"), scope="shape and pose",
     ))  # fmt: skip
     pose0: Any = field(default=None, metadata=_option(
         NUMBERS,

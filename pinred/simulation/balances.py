@@ -2,7 +2,8 @@
 
 Energy changes by the work of forces without a potential and of the drives of prescribed joints.
 Momentum changes by the impulse of wrenches and of gravity.  Powers and wrenches are integrated over
-each step with 8 Gauss points.
+each step with 8 Gauss points; steps that these do not resolve are halved.  The steps of a motion
+follow its integrated variables, so a joint may oscillate within one step if it is prescribed.
 
 The torques τ of prescribed joints follow by inverse dynamics.  With the mass matrix H, the bias b
 of Pinocchio's RNEA and the other forces F,
@@ -37,6 +38,8 @@ from .plan import Plan
 from .sample import Sample, map_samples
 
 _POINTS = 8  # Number of Gauss points in each step.
+_RESOLVED = 1e-9  # highest Legendre terms of resolved steps, relative to the largest integrand
+_HALVINGS = 8  # largest number of times that a step is halved
 _ENTRIES = 2**18  # Number of entries of mass matrices that are in memory at once.
 _DRIVES = "prescribed joints"  # Label for the work done by the drives of prescribed joints.
 
@@ -180,13 +183,20 @@ def _integral(motion: Motion, t: Array, integrand: Callable[[Array], Array]) -> 
     if len(ends) < 2:
         ends = motion.knots[:2]
     points, weights = legendre.leggauss(_POINTS)
-    half = 0.5 * np.diff(ends)
-    middle = ends[:-1] + half
-    nodes = middle[:, None] + half[:, None] * points
-    values = integrand(nodes.ravel()).reshape(*nodes.shape, -1)
     degree = np.arange(_POINTS)
     basis = legendre.legvander(points, _POINTS - 1) * weights[:, None] * (degree + 0.5)
-    series = np.einsum("spk,pn,s->snk", values, basis, half)
+    for _ in range(_HALVINGS + 1):
+        half = 0.5 * np.diff(ends)
+        middle = ends[:-1] + half
+        nodes = middle[:, None] + half[:, None] * points
+        values = integrand(nodes.ravel()).reshape(*nodes.shape, -1)
+        terms = np.einsum("spk,pn->snk", values, basis)
+        largest = np.abs(values).max(axis=(0, 1), initial=0.0)
+        coarse = (np.abs(terms[:, -2:]) > _RESOLVED * largest).any(axis=(1, 2))
+        if not coarse.any():
+            break
+        ends = np.sort(np.concatenate([ends, middle[coarse]]))
+    series = terms * half[:, None, None]
     at_ends = np.concatenate([np.zeros_like(series[:1, 0]), np.cumsum(2.0 * series[:, 0], axis=0)])
     step = np.clip(np.searchsorted(ends, t, side="right") - 1, 0, len(half) - 1)
     P = legendre.legvander((t - middle[step]) / half[step], _POINTS)

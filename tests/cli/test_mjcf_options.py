@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -113,17 +115,61 @@ def test_scene_file_accepts_root_and_keyframe(path: Path) -> None:
     scene.write_text(text.replace("home", "away"))
     with pytest.raises(InputError, match=r"start\.keyframe.*'away'; the keyframes are home"):
         pinred.load_scene(scene)
-    for key in ("x0 = [0]", "seed = 1", "momentum = 0"):
+    for key in ("x0 = [0]", "seed = 1", "q0 = [0, 0, 0, 0, 0, 0, 1, 0]"):
         scene.write_text(f"{text}{key}\n")
         with pytest.raises(InputError, match="keyframe"):
             pinred.load_scene(scene)
 
 
 def test_keyframe_excludes_other_state_options(path: Path) -> None:
-    """Only pose0 may be combined with it."""
+    """Only pose0 and velocities may be combined with it."""
     system = pinred.load(path, root="robot")
-    for options in ({"x0": [0.0]}, {"xi0": np.zeros(6)}, {"momentum": 0}, {"seed": 1}):
+    for options in ({"x0": [0.0]}, {"q0": np.zeros(8)}, {"seed": 1}):
         with pytest.raises(InputError, match=f"keyframe.*{next(iter(options))}"):
             pinred.Scene(system=system, keyframe="home", **options)
     with pytest.raises(InputError, match="the keyframes are none"):
         pinred.Scene(system=pinred.load("falling_cat"), keyframe="home")
+
+
+KEPT = {"xdot0": [0.7], "xi0": [0, 0, 1, 0, 0, 0]}  # velocities of the keyframe
+VELOCITIES: dict[str, tuple[str, dict[str, Any]]] = {
+    "momentum": ("0", {"momentum": [0] * 6, "xi0": None}),
+    "xi0": ("[0, 1, 0, 0, 0, 2]", {"xi0": [0, 1, 0, 0, 0, 2]}),
+    "xdot0": ("[0.2]", {"xdot0": [0.2]}),
+    "v0": ("[3, 0, 0, 0, 0, 0, -0.1]", {"xi0": [3, 0, 0, 0, 0, 0], "xdot0": [-0.1]}),
+}
+
+
+@pytest.mark.parametrize("name", VELOCITIES)
+def test_keyframe_with_a_stated_velocity_keeps_everything_else(
+    path: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In Python, files and commands, the shape and the other velocities are the keyframe's."""
+    written, changed = VELOCITIES[name]
+    file = path.with_name("scene.toml")
+    value: Any = tomllib.loads(f"v = {written}")["v"]
+    head = 'robot = "robot.xml"\nload = {root = "robot"}\n[start]\nkeyframe = "home"\n'
+    file.write_text(f"{head}{name} = {written}\n")
+    system = pinred.load(path, root="robot")
+    options: dict[str, Any] = {"keyframe": "home", name: value}
+    out = tmp_path / "motion.npz"
+    flag = f"--{name}={written.strip('[]').replace(' ', '')}"
+    words = ("--keyframe", "home", flag, "--out", str(out))
+    assert run(capsys, "simulate", str(path), *ROBOT, *words)[0] == 0
+    expected: dict[str, Any] = KEPT | changed
+    assert pinred.read_recording(out).xdot[0] == pytest.approx(expected["xdot0"])
+    scenes = [pinred.Scene(system=system, **options), pinred.load_scene(file)]
+    for scene in scenes:
+        given = scene.given
+        assert scene.start.x == pytest.approx([0.4])
+        assert scene.start.pose[:3] == pytest.approx([1, 2, 3])
+        assert given.xdot[0] == pytest.approx(expected["xdot0"])
+        assert (given.xi is None) == (expected["xi0"] is None)
+        if given.xi is not None:
+            assert given.xi[0] == pytest.approx(expected["xi0"])
+        else:
+            assert given.mu is not None
+            assert given.mu[0] == pytest.approx(expected["momentum"])
+    rows: dict[str, Any] = {name: np.reshape(changed.get(name, value), (1, -1))}
+    many = pinred.simulate_many(system, keyframe="home", **rows, duration=0.1)
+    assert many.xdot[0, 0] == pytest.approx(expected["xdot0"])
