@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from decimal import Decimal
 
 _TEXT = (
-    r"\bstr\b|Literal|Outcome|Axes|Part$|Form$|Engine|Kind\b|WantedOutputs|Method|Invalid|Sampler"
+    r"\bstr\b|Literal|Outcome|Axes|Part$|Form$|Engine|Held|Kind\b|WantedOutputs|Method|Invalid|Sampler"
     r"|Quantity|Attitudes"
 )
 _NUMBERS = r"Array|float|Numbers|PerJoint|LimitsLike|Counts"

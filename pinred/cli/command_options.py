@@ -38,6 +38,7 @@ FORMER = {
     "--parameters": "--parameter",
     "--events": "--event",
     "--outputs": "--output",
+    "--controls": "--control",
     "--validate": "--check",
 }
 ROBOT = "robot: a name (see `pinred robots`), or a URDF or MJCF file"

@@ -154,7 +154,11 @@ def _uncommon(system: System) -> Any:
     """Read a batch, prescribe a joint, hold a torque piecewise, and integrate along a gait."""
     joint, *others = system.space.names
     torque = Torque({others[0]: Hold([0.0, 0.5 * _DURATION], [1.0, 0.0])})
-    driven: dict[str, Any] = {"duration": _DURATION, "prescribed": {joint: "0.1*sin(t)"}}
+    driven: dict[str, Any] = {
+        "duration": _DURATION,
+        "prescribed": {joint: "0.1*sin(t)"},
+        "hold": "free",
+    }
     simulate(system, **driven, forces=[torque])
     compare(simulate(system, **driven))
     # The kernel of a rigid body is small enough for the larger number of lanes.

@@ -368,7 +368,12 @@ def _rate_of(
 
 
 def _sizes_of_numbers(
-    forces: ForceModel, at: ForceInputs, sizes: Sizes, H: Array, is_zero: NDArray[np.bool_]
+    system: System,
+    forces: ForceModel,
+    at: ForceInputs,
+    sizes: Sizes,
+    H: Array,
+    is_zero: NDArray[np.bool_],
 ) -> Array:
     """Return the size of each force number, (p,); see Sizes.
 
@@ -376,6 +381,7 @@ def _sizes_of_numbers(
     because most numbers of a table have no effect at one time.
 
     Args:
+        system: The system.
         forces: The forces.
         at: Their inputs at rest.
         sizes: Sizes of displacements, times and momenta.
@@ -391,7 +397,10 @@ def _sizes_of_numbers(
     v, steps = sizes.steps / period, sizes.steps[r:][list(forces.joints)]
     mu, units = H[:r] @ v, [force[r:], force[:r]]
     if forces.joints:
-        units += [steps, steps / period, steps / period**2]
+        space = system.space
+        coordinates = space.coordinates_of_joints(list(forces.joints))
+        first = [r + space.rates_of(k)[0] for k in coordinates]  # a ball has four coordinates
+        units += [sizes.steps[first], steps / period, steps / period**2]
     base = None if at.base is None else BaseInSpace(at.base.pose, v[:r], mu, mu)
 
     def effects(given: Array) -> Array:
@@ -482,7 +491,7 @@ def random_state(
     period = 1.0 / rate if rate > 0.0 else 1.0
     sizes = Sizes(length, system.mass, period, steps, np.diag(H) * steps / period, np.empty(0))
     if forces is not None:
-        sizes = replace(sizes, numbers=_sizes_of_numbers(forces, inputs, sizes, H, is_zero))
+        sizes = replace(sizes, numbers=_sizes_of_numbers(system, forces, inputs, sizes, H, is_zero))
         force_parameters[is_zero] = zeros * sizes.numbers[is_zero]
     if forces is not None and prescribed and is_zero.any():
         motion = forces.prescribed(time, force_parameters)

@@ -205,7 +205,7 @@ class SceneFields:
         "0.3*sin(2*t), clamped to the limits of the file; other actuators do not act",
         formats="{actuator: number, Signal, formula, or function as of a Torque}, or a Controller "
         "whose function returns the controls of all actuators",
-        command="--control A=CONTROL",
+        command="--controls A=CONTROL",
     ))  # fmt: skip
     passive: bool = field(default=False, metadata=_option(
         Flag(), "let the springs and dampers of the robot's file act", default="false",

@@ -185,7 +185,7 @@ def _integral(motion: Motion, t: Array, integrand: Callable[[Array], Array]) -> 
     points, weights = legendre.leggauss(_POINTS)
     degree = np.arange(_POINTS)
     basis = legendre.legvander(points, _POINTS - 1) * weights[:, None] * (degree + 0.5)
-    for _ in range(_HALVINGS + 1):
+    for halvings_left in reversed(range(_HALVINGS + 1)):
         half = 0.5 * np.diff(ends)
         middle = ends[:-1] + half
         nodes = middle[:, None] + half[:, None] * points
@@ -193,7 +193,7 @@ def _integral(motion: Motion, t: Array, integrand: Callable[[Array], Array]) -> 
         terms = np.einsum("spk,pn->snk", values, basis)
         largest = np.abs(values).max(axis=(0, 1), initial=0.0)
         coarse = (np.abs(terms[:, -2:]) > _RESOLVED * largest).any(axis=(1, 2))
-        if not coarse.any():
+        if not (halvings_left and coarse.any()):
             break
         ends = np.sort(np.concatenate([ends, middle[coarse]]))
     series = terms * half[:, None, None]

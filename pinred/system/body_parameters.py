@@ -145,10 +145,12 @@ def refuse_vague(system: System, name: str) -> None:
         InputError: The name states neither "link" nor "body", and the link's values differ from
             those of its body.
     """
-    parameter = body_parameter(system, name)
-    if parameter is None:
+    if _split(system, name) is None:
         name = name.rpartition(".")[0]
-        parameter = body_parameter(system, name)
+    found = _split(system, name)
+    if found is None or found[0] not in body_names(system):
+        return  # Another message names what is unknown.
+    parameter = body_parameter(system, name)
     if parameter is None or not parameter.link or name != f"{parameter.link}.{parameter.kind}":
         return
     body, kind = parameter.body, parameter.kind

@@ -158,7 +158,10 @@ def link_inertias(robot: Element) -> dict[str, pin.Inertia]:
             I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
             at = origin_of(inertial.find("origin"), f"link {quoted(name)}")
             I = at.rotation @ I @ at.rotation.T
-            inertias[name] = pin.Inertia(value, at.translation, 0.5 * (I + I.T))
+            try:
+                inertias[name] = pin.Inertia(value, at.translation, 0.5 * (I + I.T))
+            except RuntimeError:  # Pinocchio rejects negative moments; so does the model's check.
+                inertias[name] = pin.Inertia(value, at.translation, np.zeros((3, 3)))
     return inertias
 
 

@@ -20,7 +20,7 @@ from pinred.judge.hairer_integrators import Hairer
 
 def check(at: float) -> None:
     """Interrupt a comparison that takes long, most of it in the full simulation."""
-    code, _, error = interrupted(at, "-c", BEGIN, "compare", "falling_cat", "--duration", "3000")
+    code, _, error = interrupted(at, "-c", BEGIN, "compare", "planar_chain5", "--duration", "3000")
     assert (code, error) == (130, "pinred: interrupted\n"), at
 
 
@@ -48,7 +48,7 @@ def test_interrupt_ends_compare_during_aba() -> None:
         "Hairer.integrate = announce\nsys.exit(main())\n"
     )
     code, _, error = interrupted(
-        0.2, "-c", announced, "compare", "falling_cat", "--duration", "3000", "--rtol", "1e-12"
+        0.2, "-c", announced, "compare", "planar_chain5", "--duration", "3000", "--rtol", "1e-12"
     )
     assert (code, error) == (130, "pinred: interrupted\n")
 

@@ -115,7 +115,6 @@ def test_invalid_roots_and_meshes_are_refused() -> None:
         (lambda t, *_: {"bend": math.sin(t)}, "got nan"),
         (lambda t, *_: {"bend": np.sin(t)}, "a function of NumPy"),
         (lambda t, *_: {"bend": math.sin(t) * t}, "is NaN at all times"),
-        (lambda _t, _x, _v, mu: {"bend": mu["bend"]}, "Wrong number or type"),
         (lambda _t, x, *_: {"bend": x[7]}, "out of bounds"),
     ],
 )

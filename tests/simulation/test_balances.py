@@ -16,6 +16,7 @@ from pinred.common.arrays import Array
 from pinred.forces import Controller, Damper, Spring, Torque, Wrench
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Fourier, Hold
+from pinred.simulation import balances
 from pinred.simulation.balances import EnergyBalance, MomentumBalance, _integral
 
 G = np.array([0.5, 0.0, -3.0])  # of tree("SE3", …)
@@ -159,3 +160,13 @@ def test_integral_of_piecewise_polynomials_is_exact(last: float) -> None:
         assert integral == pytest.approx(expected, rel=1e-12, abs=1e-12)
     needed = step_ends[max(1, int(np.searchsorted(step_ends, last)))]
     assert np.concatenate(evaluated).max() < needed
+
+
+def test_balance_is_right_where_no_step_is_ever_resolved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The series of the last halving belong to its steps."""
+    monkeypatch.setattr(balances, "_RESOLVED", 0.0)
+    traj = pinred.simulate(
+        pinred.load("falling_cat"), seed=1, duration=0.5, prescribed={"bend": "0.3*sin(3*t)"}
+    )
+    balance = traj.energy_balance
+    assert np.abs(balance.residual).max() < 1e-10 * np.abs(balance.energy).max()

@@ -30,11 +30,11 @@ OUTPUTS = {"pose": "pose", "bend": "x.bend", "energy": "energy(t)"}
 
 
 def numbers_of(folder: Path) -> dict[str, bytes]:
-    """Return all files of a store."""
+    """Return all files of a store but its pickled scene, whose bytes depend on the process."""
     return {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in sorted(folder.rglob("*"))
-        if path.is_file()
+        if path.is_file() and path.suffix != ".signed"
     }
 
 

@@ -400,7 +400,7 @@ def test_film_says_beforehand_how_long_it_takes(
 ) -> None:
     """Once, from the time of five frames after the first; not for short films."""
     monkeypatch.setattr(films, "is_watched", lambda: True)
-    for pace, line in ((0.5, "the 100 frames of the film take about 47 s\n"), (0.01, "")):
+    for pace, line in ((0.5, "pinred: the 100 frames of the film take about 47 s\n"), (0.01, "")):
         now = iter(np.arange(200.0) * pace * 5)
         parts: list[float] = []
         report = films._announcing(parts.append, 100, lambda now=now: next(now))

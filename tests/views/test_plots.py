@@ -267,7 +267,7 @@ def test_plots_reject_unknown_kinds_options_joints(cat: pinred.Trajectory) -> No
         pinred.plot(cat, "shapes")
     with pytest.raises(pinred.InputError, match="no option 'joint'; its options are joints"):
         pinred.plot(cat, "shape", joint=1)  # type: ignore[call-overload]
-    with pytest.raises(pinred.InputError, match="no option 'x'; it has none"):
+    with pytest.raises(pinred.InputError, match="no option 'x'; its options are attitude"):
         pinred.plot(cat, "base", x=1)  # type: ignore[call-overload]
     with pytest.raises(pinred.InputError, match="no joint 'tail'; its joints are bend, sway"):
         pinred.plot(cat, "shape", joints=["tail"])
