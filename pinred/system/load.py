@@ -56,7 +56,7 @@ from .robot_description import Model
 from .robot_file_contents import Contents, Coupling, LeftOut, Origin
 from .robot_files import is_mjcf, outermost, read_text, text_in_file
 from .split_joints import split_joints
-from .stated_limits import limits_in, stated_limits
+from .stated_limits import stated_limits
 from .system import System
 from .variants import checked_gravity
 from .visuals import Visuals, mesh_folders, with_visuals
@@ -427,7 +427,6 @@ def _load_model(
         ),
         passive=merge.forces(passive.passive),
         links=robot.links,
-        limits=limits_in(robot.raw),
         visuals=visuals,
         warnings=(*([robot.warning] if robot.warning else []), *merge.warnings(split.model)),
         couplings=couplings,

@@ -147,7 +147,6 @@ class Contents:
             independent joints.
         links: Inertia of each link with mass, in its own frame; links fixed to each other are
             merged in the model.
-        limits: Limits of joints; None if the model alone states them.
     """
 
     left_out: tuple[LeftOut, ...] = ()
@@ -163,7 +162,6 @@ class Contents:
     loops: tuple[Constraint, ...] = ()
     coupled_loops: tuple[Constraint, ...] = ()
     links: Mapping[str, pin.Inertia] = field(default_factory=lambda: MappingProxyType({}))
-    limits: tuple[StatedLimit, ...] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only views of mappings cannot be pickled.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import get_args
 
 import numpy as np
 import pinocchio as pin
@@ -15,9 +15,6 @@ from .robot_file_contents import LeftOut, LimitKind, StatedLimit
 from .system import System
 from .urdf_elements import UNLIMITED
 from .variants import nominal
-
-if TYPE_CHECKING:
-    pass
 
 POSITION, VELOCITY, EFFORT = ("joint limits", "velocity limits", "effort limits")
 
@@ -61,8 +58,8 @@ class JointLimits:
 
     Attributes:
         position: Positions, (m, 2) [rad | m]; infinite for continuous joints and balls.
-        rate: Rates, (m, 2) [rad/s | m/s].
-        effort: Torques, (m, 2) [N·m | N].
+        rate: Rates, (m, 2) [rad/s | m/s]; infinite for balls.
+        effort: Torques, (m, 2) [N·m | N]; infinite for balls.
     """
 
     position: Array
@@ -76,24 +73,12 @@ def joint_limits(system: System) -> JointLimits:
     Args:
         system: The robot.
     """
-    model, m = system.model, system.m
-    position, rate, effort = (np.tile([-np.inf, np.inf], (m, 1)) for _ in range(3))
-    first: dict[int, int] = {}
-    for k, i in enumerate(system.joints):
-        joint = model.joints[i]
-        q, v = joint.idx_q, joint.idx_v + k - first.setdefault(i, k)
-        if joint.nq == 1:
-            position[k] = model.lowerPositionLimit[q], model.upperPositionLimit[q]
-        rate[k] = model.lowerVelocityLimit[v], model.upperVelocityLimit[v]
-        effort[k] = model.lowerEffortLimit[v], model.upperEffortLimit[v]
-    for limits in (position, rate, effort):
-        none = np.abs(limits) >= UNLIMITED
-        if limits is not position:
-            none |= limits == 0.0
-            # Pinocchio's parser of URDF stores the one limit of the file as the lower one, too.
-            limits[:, 0] = -np.abs(limits[:, 0])
-        limits[none] = np.tile([-np.inf, np.inf], (m, 1))[none]
-    return JointLimits(position, rate, effort)
+    limits = {kind: np.tile([-np.inf, np.inf], (system.m, 1)) for kind in get_args(LimitKind)}
+    rows = {name: k for k, name in enumerate(system.shape_names)}
+    for limit in limits_of(system):
+        if limit.joint in rows:
+            limits[limit.kind][rows[limit.joint]] = limit.lower, limit.upper
+    return JointLimits(limits["position"], limits["rate"], limits["effort"])
 
 
 def _nonzero(limits: Array) -> Array:
@@ -105,30 +90,24 @@ def _has_bound(*limits: Array) -> bool:
     return any(bool((np.abs(values) < UNLIMITED).any()) for values in limits)
 
 
-def limits_in(model: pin.Model) -> tuple[StatedLimit, ...]:
-    """Return the limits of the joints with one coordinate; see `stated_limits`."""
-    limits = []
-    for i in range(1, model.njoints):
-        joint, name = model.joints[i], str(model.names[i])
-        if joint.nq != 1 or joint.nv != 1:
-            continue
-        q, v = joint.idx_q, joint.idx_v
-        low, high = float(model.lowerPositionLimit[q]), float(model.upperPositionLimit[q])
-        if low <= high and (abs(low) < UNLIMITED or abs(high) < UNLIMITED):
-            limits.append(StatedLimit(name, "position", low, high))
-        most: dict[LimitKind, float] = {
-            "rate": float(model.upperVelocityLimit[v]), "effort": float(model.upperEffortLimit[v])
-        }  # fmt: skip
-        limits += [StatedLimit(name, k, -m, m) for k, m in most.items() if 0.0 < m < UNLIMITED]
-    return tuple(limits)
-
-
 def limits_of(system: System) -> tuple[StatedLimit, ...]:
-    """Return the limits of a robot's joints in its file, followers included."""
+    """Return the limits of joints with one rate, followers included; see `stated_limits`."""
 
     def make() -> tuple[StatedLimit, ...]:
-        stated, names = system.contents.limits, {*system.sorted_model.names}
-        limits = limits_in(system.sorted_model) if stated is None else stated
-        return tuple(limit for limit in limits if limit.joint in names - {system.root_name})
+        model, limits = system.sorted_model, list[StatedLimit]()
+        for i in range(2, model.njoints):
+            joint, name = model.joints[i], str(model.names[i])
+            if joint.nv != 1:
+                continue
+            q, v = joint.idx_q, joint.idx_v
+            low, high = float(model.lowerPositionLimit[q]), float(model.upperPositionLimit[q])
+            if joint.nq == 1 and low <= high and (abs(low) < UNLIMITED or abs(high) < UNLIMITED):
+                limits.append(StatedLimit(name, "position", low, high))
+            most: dict[LimitKind, float] = {
+                "rate": float(model.upperVelocityLimit[v]),
+                "effort": float(model.upperEffortLimit[v]),
+            }
+            limits += [StatedLimit(name, k, -m, m) for k, m in most.items() if 0.0 < m < UNLIMITED]
+        return tuple(limits)
 
     return once(nominal(system), StatedLimit, make)
