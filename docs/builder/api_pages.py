@@ -64,7 +64,9 @@ TASKS = (
     Task("stability", "Steady motions and stability", (
         "analysis.branches", "analysis.equilibria", "analysis.stability",
     )),
-    Task("space_arms", "Space arms", ("analysis.floating_arm", "analysis.arm_workspace", "analysis.reaction_free_path")),
+    Task("space_arms", "Space arms", (
+        "analysis.floating_arm", "analysis.arm_workspace", "analysis.reaction_free_path",
+    )),
     Task("batches", "Batches and sweeps", (
         "simulation.simulate_many", "simulation.members", "sweeps.",
     )),
