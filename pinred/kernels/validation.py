@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 _STATES = 3  # number of states at which a kernel is compared
 _TRIALS = 80  # largest number of random states drawn
 TOLERANCE = 1e-10  # tolerance of comparisons, relative to the largest entry
+_CANCELLED = 1e-9  # largest entry, relative to its terms, of a kind whose entries all cancel
 ROUND_OFF = 1e-13  # round-off of a full sweep, relative to the magnitude of the summed terms
 
 
@@ -428,9 +429,12 @@ def require_agreement(
     if not expected.size:
         return
     error, size = np.abs(found - expected), np.abs(expected)
-    largest = np.full(size.shape, size.max())
+    largest, sums = np.full(size.shape, size.max()), np.broadcast_to(terms, size.shape)
     for kind in () if kinds is None else (kinds, ~kinds):
-        largest[kind] = size[kind].max(initial=0.0)
+        top, most = size[kind].max(initial=0.0), sums[kind].max(initial=0.0)
+        # Where all entries of a kind cancel, as the momenta in the frame of the centre of mass,
+        # their round-off is that of the solved system.
+        largest[kind] = top if top > _CANCELLED * most else most
     allowed = tolerance * largest + ROUND_OFF * np.asarray(terms)
     if not (error <= allowed).all():
         k = int(np.argmin(error <= allowed))

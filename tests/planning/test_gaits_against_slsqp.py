@@ -6,7 +6,6 @@ import time
 from functools import cache
 from typing import Any
 
-import numpy as np
 import pytest
 from gait_reference import Reference
 from three_links import CENTRES, LENGTH, LINKS
@@ -25,23 +24,18 @@ TASKS: dict[str, dict[str, dict[str, Any]]] = {
         "rotation-torque": {"cost": "torque"},
         "rotation-acceleration": {"cost": "acceleration"},
         "rotation-time": {"cost": "time", "speeds": 3.0},
-        "target-length": {"objective": "target", "target": -0.02},
     },
     "purcell_swimmer": {
         "rotation-length": {},
         "rotation-torque": {"cost": "torque"},
         "rotation-power": {"cost": "power"},
         "rotation-time": {"cost": "time", "speeds": 3.0},
-        "displacement-length": {"objective": "displacement"},
-        "displacement-time": {"objective": "displacement", "cost": "time", "speeds": 3.0},
-        "target-torque": {"objective": "target", "target": 0.02, "cost": "torque"},
     },
     "falling_cat": {
         "rotation-x-length": {"axis": "x"},
         "rotation-y-length": {"axis": "y"},
         "rotation-x-torque": {"axis": "x", "cost": "torque"},
         "rotation-x-acceleration": {"axis": "x", "cost": "acceleration"},
-        "target-length": {"objective": "target", "target": (0.05, 0.0, 0.0)},
     },
 }
 
@@ -63,8 +57,6 @@ def problems() -> list[Any]:
         for task, more in tasks.items():
             for limit, harmonics in LIMITS.items():
                 options = more | {"limits": limit, "harmonics": 2 if "cat" in robot else harmonics}
-                if "target" in more:  # about half of the largest phase within the limits
-                    options["target"] = np.multiply(limit**3, more["target"])
                 name = f"{robot}-{task}-{limit}"
                 marks = [] if name in QUICK else [pytest.mark.by_hand]
                 cases.append(pytest.param(robot, options, id=name, marks=marks))
