@@ -32,6 +32,12 @@ def once(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
     return value
 
 
+def is_first(owner: object, key: Hashable) -> bool:
+    """Return whether this is the first call for an owner and key."""
+    mark = object()
+    return once(owner, key, lambda: mark) is mark
+
+
 def recent(owner: object, key: Hashable, make: Callable[[], _T], most: int, kind: Hashable) -> _T:
     """Return a value that is computed once for a key while it is among the most recently used.
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..common.arrays import Array
-from ..common.memo import once
+from ..common.memo import is_first, once
 from ..common.names import listed
 from ..scene.option_checks import list_forces
 from ..system.robot_file_contents import StatedLimit
@@ -131,17 +131,15 @@ def excess_notice(plan: Plan, motion: Motion, states: ShapeState | State) -> str
     if not limits_of(system):
         return ""
     few, efforts = states.t[:0], dict[str, Array]()
-    if plan.forces is not None and _states_efforts(system):
-        first = object()
-        if once(plan.forces, LimitTable, lambda: first) is first:
-            few = _some(states.t, _QUICK_EFFORTS)
-            efforts = _efforts(plan, motion, few)
+    forces = plan.forces
+    if forces is not None and _states_efforts(system) and is_first(forces, LimitTable):
+        few = _some(states.t, _QUICK_EFFORTS)
+        efforts = _efforts(plan, motion, few)
     if not _any_beyond(system, states, efforts):
         return ""
     uses = LimitTable(tuple(_uses(system, states, few, efforts))).exceeded
     names = frozenset((use.limit.joint, use.limit.kind) for use in uses)
-    first = object()
-    if not names or once(nominal(system), (LimitUse, names), lambda: first) is not first:
+    if not names or not is_first(nominal(system), (LimitUse, names)):
         return ""
     words = [
         f"{use.limit.kind} of {use.limit.joint} by {use.excess:.3g} {use.unit} at t = {use.t:.3g} s"

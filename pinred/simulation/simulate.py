@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import AccuracyWarning, InputError, SceneWarning
-from ..common.memo import once
+from ..common.memo import is_first
 from ..common.names import brief, listed, one_of
 from ..common.progress import LongRunNotice, Progress, shown
 from ..common.signatures import shows_fields
@@ -108,8 +108,7 @@ def free_joints_notice(scene: Scene) -> str:
     """Return a sentence that names the joints that move freely beside prescribed ones, or ""."""
     if scene.hold is not None or not (names := scene.free_joints):
         return ""
-    first = object()
-    if once(nominal(scene.system), (free_joints_notice, names), lambda: first) is not first:
+    if not is_first(nominal(scene.system), (free_joints_notice, names)):
         return ""
     return (
         f"prescribed: nothing drives {listed(names, 8)} of '{scene.system.name}', which move "

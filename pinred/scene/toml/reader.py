@@ -112,8 +112,9 @@ class _Builder:
             "momentum": self._momentum,
         }
         if options.get("prescribed", {}).get("others") == "hold":  # a short form of hold
-            options["prescribed"] = dict(options["prescribed"])
-            options["hold"] = {"hold": "others"}[options["prescribed"].pop("others")]
+            plans = options["prescribed"].items()
+            options["prescribed"] = {name: plan for name, plan in plans if name != "others"}
+            options["hold"] = "others"
         for name in convert:
             if name in options:
                 options[name] = convert[name](options[name], self._option_place(name))
