@@ -46,14 +46,11 @@ def shape(motion: MotionSource, *, joints: Sequence[str | int] | None = None) ->
     """
     names = labels(motion)
     names.require(1, "a plot of the shape")
-    panels, x = names.panels(joints), motion.x
+    x = motion.x
     if x.shape[-1] != len(names.joints):  # draw the rotation vectors of balls
         x = motion.system.space.chart(x)
-    figure, axes_list = over_time(f"{names.robot}: shape", len(panels))
-    for axes, panel in zip(axes_list, panels, strict=True):
-        title = names.with_unit(panel[0]) if len(panel) == 1 else f"shape [{names.units[panel[0]]}]"
-        _lines(axes, motion.t, x[:, panel], [shown(names.joints[k]) for k in panel], title)
-    return figure
+    title = f"{names.robot}: shape"
+    return _by_joint(title, names, motion.t, x, names.units, joints, what="shape ")
 
 
 @checks_arguments
@@ -101,13 +98,13 @@ def torques(traj: Trajectory, *, joints: Sequence[str | int] | None = None) -> F
 
 def _by_joint(
     title: str, names: Labels, t: Array, values: Array, units: Sequence[str],
-    joints: Sequence[str | int] | None,
+    joints: Sequence[str | int] | None, what: str = "",
 ) -> Figure:  # fmt: skip
-    """Draw values by joint, (T, m), over time in the panels of `shape`."""
+    """Draw values by joint, (T, m), over time in the panels of `shape`; `what` labels a panel."""
     panels = names.panels(joints)
     drawing, axes_list = over_time(title, len(panels))
     for axes, panel in zip(axes_list, panels, strict=True):
-        label = f"{names.joints[panel[0]]} " if len(panel) == 1 else ""
+        label = f"{names.joints[panel[0]]} " if len(panel) == 1 else what
         entries = [shown(names.joints[k]) for k in panel]
         _lines(axes, t, values[:, panel], entries, f"{label}[{units[panel[0]]}]")
     return drawing
