@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.laboratory.stress.generated_robots import single
+from pinred.laboratory.stress.reference_motions import single
 
 RTOL, TURNED = 1e-8, 100.0
 

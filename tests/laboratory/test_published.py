@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from inspect import ismodule
 
 import numpy as np
 import published_table
@@ -11,7 +12,8 @@ import pytest
 
 import pinred
 from pinred.cli.main import main
-from pinred.laboratory.published import pendulums, public_names
+from pinred.laboratory import published
+from pinred.laboratory.published import dynamics
 from pinred.laboratory.published.published_rows import ROWS, select_rows
 from pinred.laboratory.published.row import Result, numbers
 
@@ -72,10 +74,14 @@ def test_numbers_of_different_counts_raise() -> None:
 
 def test_rows_use_public_names() -> None:
     """Each name that the rows import is the public object of this name."""
-    names = [name for name in vars(public_names) if not name.startswith("_")]
-    assert len(names) > 15
-    for name in names:
-        assert getattr(pinred, name) is getattr(public_names, name)
+    public = {
+        name: value
+        for name, value in vars(published).items()
+        if not (name.startswith("_") or ismodule(value))
+    }
+    assert len(public) > 15
+    for name, value in public.items():
+        assert getattr(pinred, name) is value
 
 
 def test_command_shows_row_with_code(capsys: pytest.CaptureFixture[str]) -> None:
@@ -109,6 +115,6 @@ def test_command_reports_row_that_disagrees(
 def test_branches_find_fold_of_cowboy_motions() -> None:
     """`branches` finds the fold at the momentum of the closed form; it takes a minute."""
     J = ROWS["pendulum-fold"].compute().expected[1]
-    system = pendulums.pendulum()
+    system = dynamics.pendulum()
     found = pinred.branches(system, momentum=(0.995 * J, 1.01 * J), starts=40)
     assert [fold.momentum for fold in found.folds] == [pytest.approx(J, rel=1e-9)]

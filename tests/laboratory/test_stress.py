@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -236,3 +238,10 @@ def test_friction_fails_time_reversal() -> None:
         return pinred.simulate(system, forces=friction, **options)
 
     assert not run_check(CHECKS["reversal"], replace(SHORT, simulate=run)).passed
+
+
+def test_page_lists_all_checks_in_order() -> None:
+    """docs/stress.md describes each check, in the order of the table."""
+    page = (Path(__file__).parents[2] / "docs" / "stress.md").read_text(encoding="utf-8")
+    described = re.findall(r"^\| `(\w+)` \|", page, flags=re.MULTILINE)
+    assert described == list(CHECKS)

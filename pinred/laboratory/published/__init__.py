@@ -1,1 +1,24 @@
-"""Published and closed-form results beside those of pinred (`pinred published`)."""
+"""Published and closed-form results beside those of pinred (`pinred published`).
+
+The public names below are those that the rows use; `from pinred import …` gives the same objects.
+"""
+
+from ...analysis.connections.connection import Connection as Connection
+from ...analysis.connections.fluid import Ellipse as Ellipse
+from ...analysis.connections.fluid import Ellipsoid as Ellipsoid
+from ...analysis.connections.fluid import Rod as Rod
+from ...analysis.connections.mixed import mixed_connection as mixed_connection
+from ...analysis.connections.mixed_motion import follow_mixed as follow_mixed
+from ...analysis.connections.mixed_motion import simulate_mixed as simulate_mixed
+from ...analysis.connections.wheels import Wheel as Wheel
+from ...analysis.equilibria.find import relative_equilibria as relative_equilibria
+from ...analysis.floating_arm import FloatingArm as FloatingArm
+from ...analysis.full_reduction import Reduction as Reduction
+from ...analysis.gaits.gait import Gait as Gait
+from ...analysis.phases.phase import phase as phase
+from ...analysis.phases.rigid_body import rigid_body_phase as rigid_body_phase
+from ...analysis.stability.along_motions import linearise as linearise
+from ...scene.event import Event as Event
+from ...simulation.simulate import simulate as simulate
+from ...system.load import load as load
+from ...system.robot_description import Model as Model

@@ -6,26 +6,16 @@ from collections.abc import Sequence
 
 from ...common.errors import InputError
 from ...common.names import nearest
-from . import (
-    cats,
-    pendulums,
-    planar_bodies,
-    rigid_bodies,
-    space_arms,
-    three_link_chains,
-    tops,
-    wheels_and_momentum,
-)
+from . import dynamics, locomotion, turns
 from .row import Result, Row
 
 # All rows by name, in the order of the table.
 ROWS: dict[str, Row] = {
-    each.name: each
-    for module in (
-        *(rigid_bodies, tops, cats, planar_bodies, pendulums),
-        *(three_link_chains, wheels_and_momentum, space_arms),
+    row.name: row
+    for row in (
+        *(*dynamics.FREE, *dynamics.TOPS, *turns.CATS, *dynamics.PLANAR, *dynamics.PENDULUMS),
+        *(*locomotion.CHAINS, *locomotion.WHEELS, *turns.ARMS),
     )
-    for each in module.ROWS
 }
 _NAME, _NUMBER = 22, 34  # widths of columns
 

@@ -1,6 +1,6 @@
 """The stress suite: accuracy of pinred in numerically difficult cases.
 
-Each module defines one check, which yields cases: a measured number and its bound. The numbers are
+Each check yields cases: a measured number and its bound. The numbers are
 errors against a closed form, against Pinocchio's ABA on the full state, or against Pinocchio's
 energy and momentum. Invariance checks compare motions in other frames, other units, or reversed
 time. `run_stress` runs the checks; docs/stress.md derives the bounds.

@@ -130,6 +130,11 @@ class Outcome:
         return bool(self.cases) and not self.stopped and all(case.passed for case in self.cases)
 
 
+def check(name: str, what: str) -> Callable[[Callable[[Trial], Cases]], Check]:
+    """Return a decorator that makes a check of a generator of cases; see Check."""
+    return lambda cases: Check(name, what, cases)
+
+
 def tolerance(rtol: float) -> dict[str, float]:
     """Return scene options for a relative tolerance, with a smaller absolute tolerance."""
     return {"rtol": rtol, "atol": 1e-2 * rtol}

@@ -8,50 +8,20 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import numpy as np
 
 from ...common.errors import InputError, PinredError
-from . import (
-    chaos,
-    dense_output,
-    energy_drift,
-    error_per_tolerance,
-    fast_spins,
-    flat_bodies,
-    frame_invariance,
-    long_chains,
-    mass_ratios,
-    periods,
-    round_off_drift,
-    singular_arms,
-    stiff_springs,
-    straight_chains,
-    time_reversal,
-    time_scales,
-    unit_invariance,
-    zero_momentum,
-)
+from . import motion_checks as motion
+from . import parameter_checks as parameters
 from .check import Case, Check, Outcome, Trial
 
 # All checks by name, in the order of the table.
 CHECKS: dict[str, Check] = {
-    module.CHECK.name: module.CHECK
-    for module in (
-        error_per_tolerance,
-        dense_output,
-        periods,
-        time_reversal,
-        energy_drift,
-        round_off_drift,
-        mass_ratios,
-        fast_spins,
-        flat_bodies,
-        straight_chains,
-        singular_arms,
-        stiff_springs,
-        long_chains,
-        zero_momentum,
-        time_scales,
-        chaos,
-        frame_invariance,
-        unit_invariance,
+    check.name: check
+    for check in (
+        *(motion.tolerances, motion.between, motion.periods, motion.reversal),
+        *(motion.energy, motion.casimirs),
+        *(parameters.mass_ratios, parameters.spins, parameters.flat_bodies),
+        *(parameters.straight_chains, parameters.singular_shapes, parameters.stiff_springs),
+        *(parameters.long_chains, parameters.zero_momentum, parameters.time_scales),
+        *(parameters.chaos, motion.frames, motion.units),
     )
 }
 

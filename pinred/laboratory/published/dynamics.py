@@ -1,0 +1,443 @@
+"""Dynamics of bodies: free rigid bodies, tops, coupled planar bodies, and spherical pendulums."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from functools import cache
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.linalg import eigvals
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+from scipy.special import ellipk, ellipkm1
+
+from ...analysis.equilibria.relative_equilibrium import Equilibria
+from ...common.arrays import Array
+from ...common.errors import ModelWarning
+from ...system.system import System
+from ..stress.reference_motions import euler_top
+from . import (
+    Event,
+    Model,
+    Reduction,
+    linearise,
+    load,
+    relative_equilibria,
+    rigid_body_phase,
+    simulate,
+)
+from .row import Numbers, numbers, row
+
+MOMENTS = np.array([1.0, 2.0, 2.5])  # of the bundled robot rigid_body [kg m²]
+
+
+@row(
+    "euler-rates",
+    "Euler's rigid body: angular velocity in the body after 20 s [rad/s]",
+    "L. D. Landau, E. M. Lifshitz, Mechanics, §37",
+    relative=1e-11,
+)
+def euler_rates() -> Numbers:
+    """Compare Jacobi's elliptic functions with a simulation."""
+    omega = np.array([0.5, 0.7, 1.6])
+    rates, _ = euler_top(MOMENTS, omega, np.array([20.0]))
+    traj = simulate(load("rigid_body"), xi0=omega, duration=20.0, rtol=1e-13, atol=1e-15)
+    return numbers(rates[0], traj.xi[-1])
+
+
+@row(
+    "montgomery-phase",
+    "Montgomery's phase: rotation about the momentum in one period, by formula and simulated [rad]",
+    "R. Montgomery, Am. J. Phys. 59 (1991) 394",
+    relative=1e-11,
+)
+def montgomery_phase() -> Numbers:
+    """Compare 2ET/J − Λ, with Λ by quadrature, with both routes of pinred."""
+    omega = np.array([0.5, 0.7, 1.6])
+    a, b, c = MOMENTS
+    J, energy2 = np.linalg.norm(MOMENTS * omega), MOMENTS @ omega**2
+    low, outer = (energy2 / J**2 - 1.0 / c), (1.0 / a - 1.0 / c, 1.0 / b - 1.0 / c)
+
+    def cosine(angle: float) -> float:
+        stretch = outer[0] * np.cos(angle) ** 2 + outer[1] * np.sin(angle) ** 2
+        return float(np.sqrt(1.0 - low / stretch))
+
+    _, period = euler_top(MOMENTS, omega, np.zeros(1))
+    solid = quad(lambda angle: 1.0 - cosine(angle), 0.0, 2.0 * np.pi, epsabs=1e-13)[0]
+    turn = (energy2 * period / J - solid) % (2.0 * np.pi)
+    body = load("rigid_body")
+    by_formula = rigid_body_phase(body, omega)
+    traj = simulate(body, xi0=omega, duration=period, rtol=1e-13, atol=1e-15)
+    angle = Rotation.from_quat(traj.pose[-1]).as_rotvec() @ (MOMENTS * omega) / J
+    return numbers([turn] * 2, np.mod([by_formula.angle, angle], 2.0 * np.pi))
+
+
+@row(
+    "dzhanibekov-flips",
+    "Dzhanibekov's effect: time between two flips, from (0.01, 1, 0) rad/s [s]",
+    "L. D. Landau, E. M. Lifshitz, Mechanics, §37; M. S. Ashbaugh, C. C. Chicone, R. H. Cushman, "
+    "J. Dyn. Differ. Equ. 3 (1991) 67",
+    relative=1e-9,
+)
+def dzhanibekov_flips() -> Numbers:
+    """Compare half a period of the elliptic functions with the zeros of ω₂ in a simulation."""
+    omega = np.array([1e-2, 1.0, 0.0])
+    a, b, c = MOMENTS
+    energy2, square = MOMENTS @ omega**2, MOMENTS**2 @ omega**2
+    speed2 = (b - a) * (energy2 * c - square) / (a * b * c)
+    rest = (c - a) * a * (b - a) * omega[0] ** 2 / ((b - a) * (energy2 * c - square))
+    half = 2.0 * ellipkm1(rest) / np.sqrt(speed2)
+    flip = Event(lambda _t, _x, _xdot, mu: mu[1], "flip")
+    traj = simulate(
+        load("rigid_body"), xi0=omega, duration=3.0 * half, rtol=1e-13, atol=1e-16, events=[flip]
+    )
+    times = traj.events["flip"].t
+    return numbers(half, times[1] - times[0])
+
+
+FREE = (euler_rates, montgomery_phase, dzhanibekov_flips)
+
+
+GRAVITY = 9.81  # [m/s²]
+# Lagrange's top: transverse and axial moments about the pivot [kg m²], and m g l [N m].
+I1, I3, PULL = 0.35, 0.05, GRAVITY * 0.5
+LAGRANGE = Model("top").body("top", mass=1.0, inertia=[0.1, 0.1, 0.05], com=[0.0, 0.0, 0.5])
+# Kovalevskaya's top: moments (2, 2, 1)/2 about the pivot, centre of mass on the first axis.
+KOVALEVSKAYA = Model("top").body("top", mass=1.0, inertia=[1.0, 0.84, 0.34], com=[0.4, 0.0, 0.0])
+
+
+@row(
+    "lagrange-nutation",
+    "Lagrange's top, released from 0.6 rad with a spin of 40 rad/s: period of nutation [s]",
+    "H. Goldstein, Classical Mechanics, §5.7",
+    relative=1e-10,
+)
+def lagrange_nutation() -> Numbers:
+    """Compare a complete elliptic integral with the turning points of a simulation."""
+    tilt, spin = 0.6, 40.0
+    u0, a2, b = np.cos(tilt), (I3 * spin / I1) ** 2, 2.0 * PULL / I1
+    middle = 0.5 * a2 / b
+    u1, u2 = middle + np.array([-1.0, 1.0]) * np.sqrt(middle**2 - a2 * u0 / b + 1.0)
+    period = 4.0 * ellipk((u0 - u1) / (u2 - u1)) / np.sqrt(b * (u2 - u1))
+
+    def slope(s):  # type: ignore[no-untyped-def]  # rate of the cosine of the tilt
+        x, y, z, w = (s.pose[k] for k in range(4))
+        return 2.0 * (x * z - y * w) * s.xi[1] - 2.0 * (y * z + x * w) * s.xi[0]
+
+    traj = simulate(
+        load(LAGRANGE, group="SO3"), xi0=[0.0, 0.0, spin], duration=4.0 * period,
+        pose0=[np.sin(tilt / 2.0), 0.0, 0.0, np.cos(tilt / 2.0)], rtol=1e-13, atol=1e-15,
+        events=[Event(slope, "turning point")],
+    )  # fmt: skip
+    times = traj.events["turning point"].t
+    return numbers(period, times[3] - times[1])
+
+
+@row(
+    "sleeping-top",
+    "Lagrange's sleeping top at 0.9 of the critical spin: growth of a perturbation [1/s]",
+    "J. E. Marsden, T. S. Ratiu, Introduction to Mechanics and Symmetry, §15.10",
+    relative=1e-10,
+)
+def sleeping_top() -> Numbers:
+    """Compare √(m g l/I₁ − (I₃ω/2I₁)²) with an eigenvalue of the linearised flow."""
+    spin = 0.9 * np.sqrt(4.0 * PULL * I1) / I3
+    growth = np.sqrt(PULL / I1 - (0.5 * I3 * spin / I1) ** 2)
+    traj = simulate(load(LAGRANGE, group="SO3"), xi0=[0.0, 0.0, spin], duration=0.1)
+    return numbers(growth, np.max(linearise(traj, 0.0).eigenvalues.real))
+
+
+@row(
+    "kovalevskaya-integral",
+    "Kovalevskaya's top: the fourth integral after 10 s [1/s⁴]",
+    "S. Kowalevski, Acta Math. 12 (1889) 177",
+    relative=1e-10,
+)
+def kovalevskaya_integral() -> Numbers:
+    """Compare |(ω₁ + iω₂)² − n (Γ₁ + iΓ₂)|² before and after a simulation."""
+    n = GRAVITY * 0.4 / 0.5
+    traj = simulate(
+        load(KOVALEVSKAYA, group="SO3"), xi0=[0.7, -0.4, 1.1], duration=10.0,
+        rtol=1e-13, atol=1e-15,
+    )  # fmt: skip
+    x, y, z, w = traj.pose.T
+    up = 2.0 * (x * z - y * w) + 2.0j * (y * z + x * w)
+    integral = np.abs((traj.xi[:, 0] + 1j * traj.xi[:, 1]) ** 2 - n * up) ** 2
+    return numbers(integral[0], integral[-1])
+
+
+TOPS = (lagrange_nutation, sleeping_top, kovalevskaya_integral)
+
+
+SREENATH = (
+    "N. Sreenath, Y.-G. Oh, P. S. Krishnaprasad, J. E. Marsden, Dyn. Stab. Systems 3 (1988) 25"
+)
+OH = "Y.-G. Oh, N. Sreenath, P. S. Krishnaprasad, J. E. Marsden, J. Dyn. Differ. Equ. 1 (1989) 269"
+MASS, MOMENT, ARM = (3.0, 1.2), (0.5, 0.3), (0.4, 0.7)  # two bodies: [kg], [kg m²], [m]
+TWO = (
+    Model("two_bodies")
+    .body("first", mass=MASS[0], inertia=MOMENT[0])
+    .hinge("second", parent="first", axis="z", at=[ARM[0], 0.0, 0.0], mass=MASS[1],
+           inertia=MOMENT[1], com=[ARM[1], 0.0, 0.0])
+)  # fmt: skip
+
+
+def chain(masses: Array, before: Array, after: Array, moments: Array) -> Model:
+    """Return a planar chain; `before` and `after` are distances from the centres to the hinges."""
+    model = Model("chain").body("body0", mass=masses[0], inertia=moments[0])
+    at = after[0]
+    for k in range(1, len(masses)):
+        model = model.hinge(
+            f"body{k}", parent=f"body{k - 1}", axis="z", at=[at, 0.0, 0.0], mass=masses[k],
+            inertia=moments[k], com=[before[k], 0.0, 0.0],
+        )  # fmt: skip
+        at = before[k] + after[k]
+    return model
+
+
+def couplings(masses: Array, before: Array, after: Array, moments: Array) -> Array:
+    """Return the constants K (n, n) of the energy ½ Σ K_ij cos(φ_i − φ_j) φ̇_i φ̇_j."""
+    n = len(masses)
+    lever = np.diag(before) + np.tril(np.ones((n, n)), -1) * (before + after)
+    lever[:, 0] = np.where(np.arange(n) > 0, after[0], 0.0)
+    mean = masses @ lever / masses.sum()
+    return np.asarray((lever.T * masses) @ lever - masses.sum() * np.outer(mean, mean)
+                      + np.diag(moments))  # fmt: skip
+
+
+# Masses, distances before and behind the centres, and moments, of three bodies.
+SHORT = (
+    np.array([2.0, 0.5, 1.5]), np.array([0.0, 0.1, 0.6]), np.array([0.5, 0.15, 0.0]),
+    np.array([0.2, 0.05, 0.3]),
+)  # fmt: skip
+
+
+@cache
+def steady_rotations(name: str, momentum: float) -> Equilibria:
+    """Return the steady rotations of a robot of this page at a momentum."""
+    robots = {"two bodies": TWO, "short middle": chain(*SHORT), "three_rods": "three_rods"}
+    return relative_equilibria(load(robots[name], group="SE2"), momentum=momentum, starts=30)
+
+
+@row(
+    "coupled-planar",
+    "two bodies, one pinned at its centre: A and M of robots/coupled_planar",
+    f"{SREENATH}; docs/errata.md",
+    relative=1e-14,
+)
+def coupled_planar() -> Numbers:
+    """Compare the fractions of docs/theory.md with the mass matrix."""
+    red = Reduction(load("coupled_planar"))
+    found = [*red.local_connection([0.7])[:, 0], red.reduced_metric([0.7])[0, 0]]
+    return numbers([0.0, -1.0 / 30.0, 4.0 / 15.0, 11.0 / 60.0], found)
+
+
+@row(
+    "two-bodies-count",
+    "two planar bodies: number of steady rotations, and number of stable ones",
+    SREENATH,
+)
+def two_bodies_count() -> Numbers:
+    """Compare the count of steady rotations: stretched out (stable) and folded (unstable)."""
+    found = steady_rotations("two bodies", 2.0)
+    return numbers([2, 1], [len(found), sum(each.verdict == "stable" for each in found)])
+
+
+@row(
+    "two-bodies-oscillation",
+    "two planar bodies at momentum 2: frequency about the stretched, growth about the folded [1/s]",
+    SREENATH,
+    relative=1e-11,
+)
+def two_bodies_oscillation() -> Numbers:
+    """Compare μ √(ε d₁ d₂/(M I²)) with the spectrum of both steady rotations."""
+    mu, e, cross = 2.0, MASS[0] * MASS[1] / sum(MASS), ARM[0] * ARM[1]
+    own = np.array(MOMENT) + e * np.square(ARM)
+    expected = []
+    for cosine in (1.0, -1.0):
+        total = own.sum() + 2.0 * e * cross * cosine
+        metric = (own[0] * own[1] - (e * cross) ** 2) / total
+        expected.append(mu * np.sqrt(e * cross / metric) / total)
+    found = steady_rotations("two bodies", mu)
+    return numbers(expected, [found[0].frequencies[0], found[1].growth])
+
+
+@row(
+    "three-bodies-count",
+    "three planar bodies: number of steady rotations of equal rods, and with a short middle body",
+    OH,
+)
+def three_bodies_count() -> Numbers:
+    """Compare the count by the triangle inequality, 4 or 6, with a search."""
+    names = ("three_rods", "short middle")
+    return numbers([4, 6], [len(steady_rotations(name, 1.0)) for name in names])
+
+
+@row(
+    "three-bodies-triangle",
+    "three planar bodies with a short middle one: joint angles of the bent steady rotation [rad]",
+    OH,
+    relative=1e-11,
+)
+def three_bodies_triangle() -> Numbers:
+    """Compare the angles of the triangle of sides 1/K_ij with a search."""
+    K = couplings(*SHORT)
+    p, q, s = 1.0 / K[0, 1], 1.0 / K[1, 2], 1.0 / K[0, 2]
+    first = np.arccos((q**2 + s**2 - p**2) / (2.0 * q * s))
+    second = np.arccos((p**2 + s**2 - q**2) / (2.0 * p * s))
+    found = steady_rotations("short middle", 1.0)
+    angles = [np.mod(each.x, 2.0 * np.pi) for each in found]
+    bent = next(x for x in angles if np.abs(np.sin(x)).min() > 1e-3 and x[0] < np.pi)
+    return numbers([np.pi - first, np.pi - second], [bent[0], bent[1]])
+
+
+@row(
+    "three-rods",
+    "three equal rods, stretched out and rotating at Ω: frequencies/Ω, √(5/2) and √(81/10)",
+    OH,
+    relative=1e-11,
+)
+def three_rods() -> Numbers:
+    """Compare the fractions with the spectrum of the steady rotation."""
+    lowest = steady_rotations("three_rods", 1.0)[0]
+    found = np.sort(lowest.frequencies) / abs(lowest.xi[2])
+    return numbers([np.sqrt(2.5), np.sqrt(8.1)], found)
+
+
+@row(
+    "six-rods",
+    "six equal rods, stretched out and rotating at 1 rad/s: frequencies [rad/s]",
+    SREENATH,
+    relative=1e-10,
+)
+def six_rods() -> Numbers:
+    """Compare the eigenvalues of K⁻¹ diag(K 1) − 1 with the linearised flow."""
+    half, one = np.full(6, 0.5), np.ones(6)
+    rods = one, half, half, one / 12.0
+    K = couplings(one, half * (np.arange(6) > 0), half, one / 12.0)
+    squares = np.sort(eigvals(np.diag(K.sum(axis=1)), K).real)[1:] - 1.0
+    traj = simulate(load(chain(*rods), group="SE2"), x0=[0.0] * 5, xdot0=[0.0] * 5,
+                    xi0=[0.0, 2.5, 1.0], duration=0.1)  # fmt: skip
+    spectrum = linearise(traj, 0.0).eigenvalues
+    found = np.sort(spectrum.imag[spectrum.imag > 0.1])
+    return numbers(np.sqrt(squares), found)
+
+
+PLANAR = (
+    coupled_planar, two_bodies_count, two_bodies_oscillation, three_bodies_count,
+    three_bodies_triangle, three_rods, six_rods,
+)  # fmt: skip
+
+
+Spectrum: TypeAlias = NDArray[np.complex128]
+SCHEURLE = "J. E. Marsden, J. Scheurle, Z. angew. Math. Phys. 44 (1993) 17"
+MASSES, LENGTHS = (2.0, 1.0), (1.0, 1.5)  # [kg], [m]
+RATIO, TOTAL = LENGTHS[1] / LENGTHS[0], sum(MASSES) / MASSES[1]  # r and m of the source
+
+
+@cache
+def pendulum() -> System:
+    """Return two point masses on rods; rings without moment carry the universal joints."""
+    model = (
+        Model("pendulum").body("azimuth", mass=1.0)
+        .hinge("tilt1", parent="azimuth", axis="y", mass=0.5 * MASSES[0], com=[0, 0, -LENGTHS[0]])
+        .hinge("swing2", parent="tilt1", axis="x", at=[0, 0, -LENGTHS[0]], mass=0.5 * MASSES[0])
+        .hinge("tilt2", parent="swing2", axis="y", mass=MASSES[1], com=[0, 0, -LENGTHS[1]])
+    )  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ModelWarning)  # the straight pendulum is singular
+        return load(model, group="SO2")
+
+
+def steady(alpha: complex) -> tuple[complex, complex]:
+    """Return λ² and the angular velocity of the steady motion q₂ = α q₁."""
+    a, b = (alpha * (TOTAL + alpha)) ** 2, (TOTAL * (1.0 + alpha)) ** 2
+    square = (a - RATIO**2 * b) / (a - alpha**2 * b)
+    scale = GRAVITY / LENGTHS[0] * TOTAL / (TOTAL + alpha)
+    return square, (scale / (1.0 - square) ** 0.5) ** 0.5
+
+
+def momentum(alpha: complex) -> complex:
+    """Return the momentum of the steady motion q₂ = α q₁."""
+    square, omega = steady(alpha)
+    return omega * LENGTHS[0] ** 2 * square * (MASSES[0] + MASSES[1] * (1.0 + alpha) ** 2)
+
+
+def spectrum(alpha: float) -> Spectrum:
+    """Return the eigenvalues of the Lagrangian in horizontal coordinates, in rotating axes."""
+    y, v, rate = ca.SX.sym("y", 4), ca.SX.sym("v", 4), steady(alpha)[1].real
+    turned = v + rate * ca.vertcat(-y[1], y[0], -y[3], y[2])  # velocity in fixed axes
+    height, climb = [], []
+    for k, length in enumerate(LENGTHS):
+        q, qdot = y[2 * k : 2 * k + 2], turned[2 * k : 2 * k + 2]
+        height.append(-ca.sqrt(length**2 - ca.sumsqr(q)))
+        climb.append(-ca.dot(q, qdot) / height[-1])
+    energy = 0.5 * MASSES[0] * (ca.sumsqr(turned[:2]) + climb[0] ** 2)
+    energy += 0.5 * MASSES[1] * (ca.sumsqr(turned[:2] + turned[2:]) + (climb[0] + climb[1]) ** 2)
+    L = energy - GRAVITY * (sum(MASSES) * height[0] + MASSES[1] * height[1])
+    p = ca.gradient(L, v)
+    parts = [ca.jacobian(p, v), ca.jacobian(p, y), ca.hessian(L, y)[0]]
+    s = LENGTHS[0] * np.sqrt(steady(alpha)[0].real)
+    place = [s, 0.0, alpha * s, 0.0]
+    H, D, K = (np.array(m) for m in ca.Function("L", [y, v], parts)(place, [0.0] * 4))
+    lower = np.linalg.solve(H, np.hstack([K, D.T - D]))
+    return np.asarray(np.linalg.eigvals(np.vstack([np.eye(4, 8, 4), lower])))
+
+
+def spectrum_by_pinred(alpha: float) -> Spectrum:
+    """Return the eigenvalues of the steady motion, linearised by pinred."""
+    square, omega = (each.real for each in steady(alpha))
+    first = -np.arcsin(np.sqrt(square))
+    second = -np.arcsin(alpha * np.sqrt(square) / RATIO) - first
+    x0 = {"tilt1": first, "swing2": 0.0, "tilt2": second}
+    traj = simulate(pendulum(), x0=x0, xdot0=[0.0] * 3, xi0=[omega], duration=0.05)
+    return linearise(traj, 0.0).eigenvalues
+
+
+def cubic(eigenvalues: Spectrum) -> Array:
+    """Return a, b, c of z³ + a z² + b z + c, whose roots are the squares of the eigenvalues."""
+    return np.asarray(np.poly(eigenvalues).real[2:7:2])
+
+
+def window(eigenvalues: Callable[[float], Spectrum]) -> list[float]:
+    """Return the values of α where two frequencies collide, and where one is zero."""
+
+    def discriminant(alpha: float) -> float:
+        a, b, c = cubic(eigenvalues(alpha))
+        return float(a**2 * b**2 - 4.0 * b**3 - 4.0 * a**3 * c - 27.0 * c**2 + 18.0 * a * b * c)
+
+    edges = (discriminant, -2.5, -2.4), (lambda alpha: cubic(eigenvalues(alpha))[2], -1.9, -1.75)
+    return [brentq(f, low, high, xtol=1e-13, rtol=1e-14) for f, low, high in edges]
+
+
+@row(
+    "pendulum-fold",
+    "double spherical pendulum, m = 3, r = 1.5: fold of the cowboy motions, α and momentum [N m s]",
+    SCHEURLE,
+    relative=1e-10,
+)
+def pendulum_fold() -> Numbers:
+    """Compare the zero of dJ/dα, by complex steps, with a zero eigenvalue of the motion."""
+    slope = lambda alpha: momentum(alpha + 1e-30j).imag  # noqa: E731
+    expected = brentq(slope, -1.9, -1.75, xtol=1e-14)
+    found = brentq(lambda alpha: cubic(spectrum_by_pinred(alpha))[2], -1.9, -1.75, xtol=1e-13)
+    return numbers([expected, momentum(expected).real], [found, momentum(found).real])
+
+
+@row(
+    "cowboy-window",
+    "double spherical pendulum, m = 3, r = 1.5: edges of the stable cowboy motions, as α",
+    SCHEURLE,
+    relative=1e-8,
+)
+def cowboy_window() -> Numbers:
+    """Compare the edges by a Lagrangian in horizontal coordinates with the linearised flow."""
+    return numbers(window(spectrum), window(spectrum_by_pinred))
+
+
+PENDULUMS = (pendulum_fold, cowboy_window)
