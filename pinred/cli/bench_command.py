@@ -68,15 +68,22 @@ def run(arguments: argparse.Namespace) -> int:
         return _run_accuracy(arguments, folder)
     if arguments.measurement == "films":
         return _run_films(arguments, folder)
-    from ..laboratory.bench.measurements import MEASUREMENTS
+    from ..laboratory import bench
+    from ..laboratory.bench.timing import report
 
-    names = ("robots", "robot", "scenes", "calls", "members", "held")
+    names = ("robots", "scenes", "calls", "members", "held")
     options = {name: value for name, value in vars(arguments).items() if name in names}
+    if "robot" in arguments:
+        from ..system.load import load
+
+        options["system"] = load(arguments.robot, gravity=(0.0, 0.0, 0.0))
+    name = "first_calls" if arguments.measurement == "first" else arguments.measurement
     with Wait(f"measures: {arguments.measurement}"):
-        text, tables = MEASUREMENTS[arguments.measurement](**options)
+        results = getattr(bench, f"bench_{name}")(**options, progress=True)
+    text, tables = report(results if isinstance(results, list) else [results])
     print(text)
-    for name, records in tables.items():
-        _write(folder, name, records)
+    for file, records in tables.items():
+        _write(folder, file, records)
     return 0
 
 
@@ -127,11 +134,10 @@ def _add_accuracy_options(sub: argparse.ArgumentParser) -> None:
 
 def _run_accuracy(arguments: argparse.Namespace, folder: Path | None) -> int:
     """Measure the results that the folder lacks; print and write all of them.  Returns 0."""
-    from ..laboratory.bench.accuracy import DEFAULT, FULL, QUICK
-    from ..laboratory.bench.accuracy_in_folder import continue_accuracy
-    from ..laboratory.bench.record import NAME
-    from ..laboratory.bench.scenes import SCENES, problems_named
+    from ..laboratory.bench.accuracy import DEFAULT, FULL, QUICK, continue_accuracy
+    from ..laboratory.bench.problems import SCENES, problems_named
     from ..laboratory.bench.solvers import ALL_SOLVERS, SOLVERS, solvers_named
+    from ..laboratory.bench.work_precision import NAME
 
     if arguments.list:
         print("scenes:", ", ".join(SCENES))

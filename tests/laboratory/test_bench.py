@@ -18,6 +18,7 @@ from pinred.common.errors import InputError
 from pinred.integrators.stepping import shipped_code
 from pinred.laboratory.bench import (
     DerivativeTiming,
+    KernelTiming,
     Scaling,
     bench_derivatives,
     bench_forces,
@@ -25,14 +26,14 @@ from pinred.laboratory.bench import (
     bench_scaling,
     bench_threads,
     compare_timing,
-    derivative_timing,
     first_calls,
+    flow_timing,
     method_choice,
     timing,
 )
 from pinred.laboratory.bench.batch_timing import BATCH_SOLVERS
-from pinred.laboratory.bench.chains import chain
 from pinred.laboratory.bench.method_choice import METHODS, MethodChoice
+from pinred.laboratory.bench.problems import chain
 
 pytestmark = pytest.mark.slow
 
@@ -124,14 +125,45 @@ def test_bench_forces_counts_integrated_states(
 
 def test_bench_derivatives_measures_every_ratio(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each ratio is a positive number, and appears in the table."""
-    monkeypatch.setattr(derivative_timing, "_ROUNDS", 2)
-    monkeypatch.setattr(derivative_timing, "_BURST", 1e-5)
+    monkeypatch.setattr(flow_timing, "_DERIVATIVE_ROUNDS", 2)
+    monkeypatch.setattr(flow_timing, "_BURST", 1e-5)
     (result,) = bench_derivatives(["coupled_planar"])
     ratios = [value for value in vars(result).values() if isinstance(value, float)]
     assert len(ratios) == 8
     assert min(ratios) > 0.0
     assert all(f"{ratio:.2f}" in str(result) for ratio in ratios)
     assert len(DerivativeTiming.header().splitlines()[0].split()) == 10
+
+
+def test_report_titles_columns_and_collects_rows_of_csv_files() -> None:
+    """Titles have the widths of their columns; units are a second line; summaries are below."""
+    kernel = KernelTiming("arm", 3, 100, build=0.1234, kernel=0.5, aba=2.25)
+    text, tables = timing.report([kernel, kernel])
+    head, first, second = text.splitlines()
+    assert head == (
+        "robot                joints instructions  build [s]  kernel [µs]  pin.aba [µs]   ratio"
+    )
+    assert (
+        first
+        == second
+        == (
+            "arm                       3          100      0.123       0.5000          2.25     4.5"
+        )
+    )
+    assert tables == {"kernels": [{**vars(kernel), "ratio": 4.5}] * 2}
+    derivatives = DerivativeTiming("arm", 3, *np.arange(1.0, 9.0).tolist())
+    names, units, row = timing.report([derivatives])[0].splitlines()
+    assert units.split() == ["[runs]"] * 2 + ["[rates]"] * 5 + ["[aba]"]
+    assert len(names) == len(units) == len(row)
+    choice = MethodChoice(
+        "made", "DOP853", {"DOP853": 2.0, "Tsit5": 1.0}, {"DOP853": 1.0, "Tsit5": 1.0}
+    )
+    text, tables = timing.report([choice])
+    assert "0.0 % of 1 scenes within 1.3 times" in text.splitlines()[-1]
+    (row_of_file,) = tables["methods"]
+    assert list(row_of_file)[:3] == ["scene", "chosen", "ratio"]
+    assert row_of_file["Tsit5 cpu"] == 1.0
+    assert timing.report([]) == ("", {})
 
 
 def test_scaling_fits_power_law() -> None:
@@ -217,6 +249,12 @@ def test_slow_actions_skip_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(second) == calls["slow"] - 2 == 4
     assert np.diff(second).max() <= 3
     np.testing.assert_allclose(times[second, 0], 0.01)
+    other = SimpleNamespace(now=0.0)
+
+    def twice(count: int) -> None:
+        other.now += 2.0 * count
+
+    assert timing.alternating([twice], rounds=2, clock=lambda: other.now).tolist() == [[2.0]] * 2
 
 
 def test_bench_commands_reject_bad_input(

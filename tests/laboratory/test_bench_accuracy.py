@@ -32,18 +32,18 @@ from pinred.laboratory.bench import (
     Problem,
     Solver,
     WorkPrecision,
-    accuracy_in_folder,
+    accuracy,
     bench_accuracy,
     own_method,
+    problems,
     problems_named,
     read_record,
     reference_of,
-    scenes,
     timing,
     write_record,
 )
-from pinred.laboratory.bench.conservation_drift import compute_drift
-from pinred.laboratory.bench.overview import overview
+from pinred.laboratory.bench.accuracy import overview
+from pinred.laboratory.bench.problems import compute_drift
 from pinred.laboratory.bench.reference import _quadruple
 from pinred.laboratory.bench.solvers import solvers_named
 from pinred.system.coordinates import InitialState
@@ -63,7 +63,7 @@ def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def short_planar() -> Problem:
     """Return the planar problem over one second."""
-    problem = scenes.planar_joint()
+    problem = problems.planar_joint()
     return replace(problem, start=replace(problem.start, duration=1.0))
 
 
@@ -305,7 +305,7 @@ def test_interrupted_bench_resumes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Finished scenes are kept; ratios use times of one run."""
-    folder, real, asked = tmp_path / "out", vars(accuracy_in_folder)["bench_problem"], []
+    folder, real, asked = tmp_path / "out", vars(accuracy)["bench_problem"], []
 
     def dies_at_the_second(problem: Problem, methods: Any, *rest: Any, **more: Any) -> Any:
         asked.append((problem.name, [method.name for method in methods]))
@@ -313,7 +313,7 @@ def test_interrupted_bench_resumes(
             raise KeyboardInterrupt
         return real(problem, methods, *rest, **more)
 
-    monkeypatch.setattr(accuracy_in_folder, "bench_problem", dies_at_the_second)
+    monkeypatch.setattr(accuracy, "bench_problem", dies_at_the_second)
     command = ["bench", "accuracy", "--scenes", "coupled_planar,rigid_body", "--quick"]
     command += ["--methods", "pinred,aba-odeint", "--tolerances", "1e-4,1e-8"]
     command += ["--out", str(folder)]
@@ -325,7 +325,7 @@ def test_interrupted_bench_resumes(
     assert [name for name, _ in asked[2:]] == ["rigid_body"]
     assert f"coupled_planar is measured already, in run {first[0].run}" in capsys.readouterr().out
     command[command.index("pinred,aba-odeint")] = "aba-odeint,aba-lsoda"
-    monkeypatch.setattr(accuracy_in_folder, "run_name", lambda: "later")
+    monkeypatch.setattr(accuracy, "run_name", lambda: "later")
     assert main(command) == 0
     assert [names for _, names in asked[3:]] == [["pinred", "aba-lsoda"]] * 2
     result = read_record(folder / "accuracy.csv", asked_for)
@@ -378,7 +378,7 @@ def test_missing_package_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_missing_example_robots_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two scenes are left out with a message."""
-    monkeypatch.setattr(scenes, "has_example_robots", lambda: False)
+    monkeypatch.setattr(problems, "has_example_robots", lambda: False)
     second, missing = problems_named()
     assert [problem.name for problem in second] == ["planar1", "planar5", "satellite"]
     assert missing == [

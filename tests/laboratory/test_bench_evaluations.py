@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from pinred.common.errors import InputError
 from pinred.judge.distances import FullMotion
 from pinred.laboratory.bench.evaluations import ERRORS, bench_evaluations
-from pinred.laboratory.bench.scenes import problems_named
+from pinred.laboratory.bench.problems import problems_named
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pinred.laboratory.bench import WorkPrecision
-from pinred.laboratory.bench.overview import overview
+from pinred.laboratory.bench.accuracy import overview
 from pinred.laboratory.bench.work_precision import Point
 
 

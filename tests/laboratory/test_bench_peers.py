@@ -21,20 +21,18 @@ from pinred.judge.reference_solution import FullState
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.kernels.state_layout import Structure
 from pinred.laboratory.bench import SOLVERS, Problem, reference_of
-from pinred.laboratory.bench.full_vector_field import full_vector_field
-from pinred.laboratory.bench.peers.aba import ABA
-from pinred.laboratory.bench.peers.child_process import check_in_child_process
-from pinred.laboratory.bench.peers.drake import DrakeModel
+from pinred.laboratory.bench.peers.aba import ABA, full_vector_field
+from pinred.laboratory.bench.peers.cvodes import full_graph
+from pinred.laboratory.bench.peers.drake import DrakeModel, check_in_child_process
 from pinred.laboratory.bench.peers.equality import EQUAL, equality, missing_unless_equal
-from pinred.laboratory.bench.peers.euler_angles import (
+from pinred.laboratory.bench.peers.exudyn import (
     ORDERS,
+    ExudynModel,
     angles_of,
     rotation_of,
     spin_matrix,
     spin_rate,
 )
-from pinred.laboratory.bench.peers.exudyn import ExudynModel
-from pinred.laboratory.bench.peers.first_principles import full_graph
 from pinred.laboratory.bench.peers.mujoco import MujocoModel
 from pinred.laboratory.bench.solver import Solver
 from pinred.lie import GROUPS
@@ -232,7 +230,7 @@ def test_taylor_expressions_equal_casadi_graph(robot: str) -> None:
     """The values evaluated by heyoka are the same, in the plane, in space, and with gravity."""
     import heyoka as hy
 
-    from pinred.laboratory.bench.taylor import taylor_expressions
+    from pinred.laboratory.bench.peers.heyoka import taylor_expressions
 
     system = pinred.load(robot)
     gravity = (2,) if robot == "cartpole" else ()
@@ -250,7 +248,7 @@ def test_taylor_folds_constants_and_rejects_unknown_operations() -> None:
     """Expressions of parameters alone become numbers."""
     import heyoka as hy
 
-    from pinred.laboratory.bench.taylor import taylor_expressions
+    from pinred.laboratory.bench.peers.heyoka import taylor_expressions
 
     y, p = ca.SX.sym("y", 2), ca.SX.sym("p", 1)
     rate = ca.Function("f", [y, p], [ca.vertcat(ca.sin(p) / 2.0 + 1.0, y[0] * (p * p))])

@@ -15,7 +15,7 @@ from pinred import DOP853, AdaptiveGauss, Gauss, Radau
 from pinred.forces import PD, Controller, Damper, Limit, Spring, Torque
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
-from pinred.laboratory.bench.held_robots import held_robot
+from pinred.laboratory.bench.method_choice import held_robot
 from pinred.signals import Hold
 from pinred.simulation.choose_method import LANES_GAIN, Choice, radau_gain, rates_near_rest
 from pinred.simulation.members.member_groups import members_plan

@@ -1,25 +1,31 @@
-"""Run time against error, for every method at every tolerance, timed in alternating rounds."""
+"""Run time against error, for every method at every tolerance, timed in alternating rounds.
+
+Results can be recorded in a folder; a run then continues the record of earlier runs.
+"""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
 from ...common.argument_kinds import checks_arguments
 from ...common.errors import IntegrationError, PinredError
-from ...common.progress import Progress, quiet, shown
+from ...common.files import write_atomic, write_table
+from ...common.progress import Progress, ProgressBar, quiet, shown
 from ...judge.distances import FullMotion
-from .conservation_drift import compute_drift
-from .problems import Problem
+from .problems import Problem, compute_drift, problems_named
 from .reference import Reference, reference_of
-from .scenes import problems_named
 from .solver import PreparedRun, Solver
+from .solvers import solvers_named
 from .timing import alternating, repeated
-from .work_precision import Point, WorkPrecision
+from .work_precision import ERRORS, NAME, Point, WorkPrecision, read_record, write_record
 
 YARDSTICK = "pinred"  # method that every run contains, so that time ratios stay within a run
 
@@ -229,3 +235,182 @@ def _point(
         energy=drift.energy,
         momentum=drift.momentum,
     )
+
+
+def continue_accuracy(
+    problems: Sequence[Problem],
+    methods: Sequence[Solver],
+    tolerances: Sequence[float] | None,
+    effort: Effort,
+    folder: Path | None,
+) -> list[WorkPrecision]:
+    """Measure the results that a folder lacks; print and write all results.
+
+    Args:
+        problems: The scenes.
+        methods: The methods.
+        tolerances: Tolerances of the adaptive methods; by default those of each method.
+        effort: Effort of the measurement.
+        folder: Folder of the record and the tables; None to write nothing.
+    Returns:
+        The results, with the results of former runs in the folder.
+    Raises:
+        LoadError: The record of former runs cannot be read.
+        InputError: The record was measured with other options.
+    """
+    settings = effort.name
+    if tolerances is not None:
+        settings += f", tolerances {' '.join(f'{t:g}' for t in tolerances)}"
+    path = None if folder is None else folder / NAME
+    results = read_record(path, settings) if path is not None and path.exists() else []
+    run = run_name()
+    for k, problem in enumerate(problems):
+        before = [result for result in results if result.problem == problem.name]
+        measured = {name for result in before for name in (*result.about, *result.missing)}
+        remaining = [method for method in methods if method.name not in measured]
+        if not remaining:
+            print(f"{problem.name} is measured already, in run {before[-1].run}\n")
+            continue
+        if before and YARDSTICK not in [method.name for method in remaining]:
+            # Times of different runs are not comparable, so this run measures pinred again.
+            remaining = [*solvers_named([YARDSTICK]), *remaining]
+        with ProgressBar(f"{problem.name} ({k + 1} of {len(problems)})") as bar:
+            result = bench_problem(
+                problem,
+                remaining,
+                tolerances,
+                effort,
+                run=run,
+                progress=bar,
+            )
+        print(result, end="\n\n", flush=True)
+        results.append(result)
+        if path is not None:
+            write_record(path, settings, results)
+    tables = overview(results)
+    print(tables, end="\n\n")
+    if path is not None and folder is not None:
+        text = (tables + "\n").encode()
+        write_atomic(folder / "overview.txt", lambda file: file.write(text))
+        _write_equal_error(folder, results)
+    return results
+
+
+def _write_equal_error(folder: Path, results: Sequence[WorkPrecision]) -> None:
+    """Write run times and their ratios at equal errors, interpolated between the points."""
+    columns = [
+        "run",
+        "problem",
+        "error",
+        "method",
+        "wall",
+        "times_pinred",
+        "reference_error",
+    ]
+    records: list[dict[str, object]] = [
+        {
+            "run": result.run,
+            "problem": result.problem,
+            "error": error,
+            "method": method,
+            "wall": result.wall_at(method, error),
+            "times_pinred": result.ratio_at(method, error) if YARDSTICK in result.about else "",
+            "reference_error": result.reference_error,
+        }
+        for result in results
+        for error in ERRORS
+        for method in result.about
+    ]
+    write_table(folder / "equal_error.csv", columns, records)
+
+
+Table: TypeAlias = tuple[str, list[tuple[str, list[str]]]]  # title, and (name, cells) of each row
+
+OVERVIEW_ERRORS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-13)
+LOOSEST, TIGHTEST = 1e-4, 1e-13  # largest and smallest tolerance in the table of error / tolerance
+FOLLOWING = (YARDSTICK, "pinred-dop853", "pinred-gauss")  # methods in the table of error/tolerance
+_SIDE_BY_SIDE = 6  # largest number of scenes in one table
+
+
+def overview(results: Sequence[WorkPrecision]) -> str:
+    """Format tables of several results, with one column for each scene.
+
+    The tables contain pinred's wall time at each error, and the ratios of other methods' times in
+    the same run to it. The last table gives errors of pinred's methods relative to their
+    tolerances.
+
+    Args:
+        results: Results of `bench_accuracy`.
+    Returns:
+        The text.
+    """
+    scenes = list(dict.fromkeys(result.problem for result in results))
+    blocks = [scenes[k : k + _SIDE_BY_SIDE] for k in range(0, len(scenes), _SIDE_BY_SIDE)]
+    return "\n\n".join(_tables_of(results, block) for block in blocks)
+
+
+def _tables_of(results: Sequence[WorkPrecision], scenes: list[str]) -> str:
+    names = list(dict.fromkeys(n for r in results if r.problem in scenes for n in r.about))
+    runs = {name: [_run_with_yardstick(results, scene, name) for scene in scenes] for name in names}
+
+    def table(title: str, cell: Callable[[WorkPrecision, str], str]) -> Table:
+        rows = {n: [cell(run, n) if run else "—" for run in runs[n]] for n in runs}
+        return title, [(name, cells) for name, cells in rows.items() if set(cells) != {"—"}]
+
+    tables = [
+        table(
+            f"error {error:.0e}: {YARDSTICK} [ms], and how many times longer others take",
+            partial(_time_cell, error),
+        )
+        for error in OVERVIEW_ERRORS
+    ]
+    tables.append(
+        table(
+            f"error / tolerance, for tolerances of {LOOSEST:.0e} … {TIGHTEST:.0e}", _following_cell
+        )
+    )
+    name_width = max(map(len, names))
+    columns = zip(scenes, *(cells for _, rows in tables for _, cells in rows), strict=True)
+    widths = [2 + max(map(len, column)) for column in columns]
+    texts = []
+    for title, rows in tables:
+        lines = [
+            _overview_row(name, cells, name_width, widths) for name, cells in [("", scenes), *rows]
+        ]
+        texts += ["\n".join([title, *lines])] if rows else []
+    return "\n\n".join(texts)
+
+
+def _run_with_yardstick(
+    results: Sequence[WorkPrecision], scene: str, method: str
+) -> WorkPrecision | None:
+    """Return the run of a scene that contains both a method and pinred, or None."""
+    for result in results:
+        if result.problem == scene and {method, YARDSTICK} <= set(result.about):
+            return result
+    return None
+
+
+def _time_cell(error: float, result: WorkPrecision, name: str) -> str:
+    """Format pinred's wall time [ms], or the ratio of another method's time to that time."""
+    is_pinred = name == YARDSTICK
+    value = 1e3 * result.wall_at(name, error) if is_pinred else result.ratio_at(name, error)
+    return "—" if np.isnan(value) else f"{value:.3g}"
+
+
+def _following_cell(result: WorkPrecision, method: str) -> str:
+    """Format the range of error / tolerance over points with errors above the reference error."""
+    if method not in FOLLOWING:
+        return "—"
+    ratios = [
+        point.error / point.tolerance
+        for point in result.of(method)
+        if 0.99 * TIGHTEST < point.tolerance < 1.01 * LOOSEST
+        and point.error > result.reference_error
+    ]
+    return f"{min(ratios):.2g} … {max(ratios):.2g}" if ratios else "—"
+
+
+def _overview_row(name: str, cells: list[str], name_width: int, widths: list[int]) -> str:
+    padded = (f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
+    return f"{name:<{name_width}}" + "".join(padded)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,9 +15,8 @@ from ...forces.kinds import Damper
 from ...judge.compare import compare
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
-from ...system.catalogue import has_example_robots
 from ...system.load import load
-from .timing import alternating, repeated
+from .timing import TimingRow, alternating, repeated, robots_to_measure
 
 _ROUNDS = 7
 
@@ -51,7 +51,7 @@ SCENES = {**BUNDLED, **EXAMPLES}
 
 @checks_arguments
 @dataclass(frozen=True)
-class CompareTiming:
+class CompareTiming(TimingRow):
     """Time of one comparison; medians of rounds that alternate between the scenes.
 
     Attributes:
@@ -62,18 +62,14 @@ class CompareTiming:
         verdict: The verdict.
     """
 
+    ROW = "{scene:<28} {seconds:>12.3f} {integrations:>13.1f}  {verdict}"
+    TITLES: ClassVar[Mapping[str, str]] = {"seconds": "compare [s]"}
+    FILE = "compare"
+
     scene: str
     seconds: float
     integrations: float
     verdict: str
-
-    @staticmethod
-    def header() -> str:
-        """Return the header of the table."""
-        return f"{'scene':<28} {'compare [s]':>12} {'integrations':>13}  verdict"
-
-    def __str__(self) -> str:
-        return f"{self.scene:<28} {self.seconds:>12.3f} {self.integrations:>13.1f}  {self.verdict}"
 
 
 @checks_arguments
@@ -90,7 +86,7 @@ def bench_compare(
     Raises:
         InputError: A scene is unknown.
     """
-    names = list(scenes) or [*BUNDLED, *(EXAMPLES if has_example_robots() else ())]
+    names = robots_to_measure(scenes, [*BUNDLED], [*EXAMPLES])
     if unknown := [name for name in names if name not in SCENES]:
         raise InputError(f"no scene '{unknown[0]}'; the scenes are {', '.join(SCENES)}")
     motions = one_by_one(names, lambda name: SCENES[name](), progress, "scenes")

@@ -30,9 +30,9 @@ from ...judge.reference_solution import FINEST
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...system.state_fields import with_base
-from .problems import Problem
-from .scenes import problems_named
+from .problems import Problem, problems_named
 from .solver import ATOL
+from .timing import Tables
 
 Tolerances: TypeAlias = tuple[float, float | Array]  # rtol and atol in SciPy's form
 Norm: TypeAlias = Callable[[float], Tolerances]
@@ -72,6 +72,15 @@ class Evaluations:
     counts: Mapping[str, tuple[float, ...]]
     missing: str = ""
 
+    def tables(self) -> Tables:
+        """Return a row of the csv file for each method and error."""
+        rows: list[dict[str, object]] = [
+            {"problem": self.problem, "method": name, "error": error, "evaluations": count}
+            for name, counts in self.counts.items()
+            for error, count in zip(ERRORS, counts, strict=True)
+        ]
+        return {"evaluations": rows}
+
     def __str__(self) -> str:
         width = max(map(len, self.counts))
         head = f"{'error':<{width}}" + "".join(f"{error:>9.0e}" for error in ERRORS)
@@ -89,14 +98,14 @@ def bench_evaluations(
     """Count the evaluations that each method needs for each error, on each scene.
 
     Args:
-        scenes: Names of scenes in SCENES.
+        scenes: Names of scenes in SCENES; FEW_SCENES if empty.
         progress: True for a progress bar, or a function of the completed fraction.
     Returns:
         One result for each scene.
     Raises:
         InputError: Unknown scene.
     """
-    problems, _ = problems_named(scenes)
+    problems, _ = problems_named(scenes or FEW_SCENES)
     return one_by_one(problems, _count_evaluations, progress, "evaluations")
 
 

@@ -6,17 +6,18 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
 from ...common.progress import Progress, one_by_one
+from .timing import TimingRow
 
 _ROUNDS = 3  # number of processes with shipped code; compilations are measured once
 _DURATION = 0.5  # of the motions [s]
@@ -61,7 +62,7 @@ CALLS: dict[str, Callable[[Any], Any]] = {
 
 @checks_arguments
 @dataclass(frozen=True)
-class FirstCall:
+class FirstCall(TimingRow):
     """Time of the first call in a process with an empty cache, after the robot was loaded.
 
     Attributes:
@@ -71,22 +72,28 @@ class FirstCall:
         loads_numba: Whether the call with shipped code loads numba.
     """
 
+    ROW = "{call:<20} {shipped:>12.2f} {compiled:>13.2f} {ratio:>7.1f}  {numba}"
+    TITLES: ClassVar[Mapping[str, str]] = {
+        "call": "first call",
+        "shipped": "shipped [s]",
+        "compiled": "compiled [s]",
+    }
+    FILE = "first_calls"
+
     call: str
     shipped: float
     compiled: float
     loads_numba: bool
 
-    @staticmethod
-    def header() -> str:
-        """Return the header of the table."""
-        return f"{'first call':<20} {'shipped [s]':>12} {'compiled [s]':>13} {'ratio':>7}  numba"
+    @property
+    def ratio(self) -> float:
+        """Time without shipped code divided by the time with it."""
+        return self.compiled / self.shipped
 
-    def __str__(self) -> str:
-        numba = "loaded" if self.loads_numba else "not loaded"
-        ratio = self.compiled / self.shipped
-        return (
-            f"{self.call:<20} {self.shipped:>12.2f} {self.compiled:>13.2f} {ratio:>7.1f}  {numba}"
-        )
+    @property
+    def numba(self) -> str:
+        """Whether the call with shipped code loads numba, as text."""
+        return "loaded" if self.loads_numba else "not loaded"
 
 
 @checks_arguments

@@ -30,7 +30,7 @@ from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...simulation.simulate import simulate
 from ...system.load import load
-from .timing import alternating, repeated
+from .timing import Tables, alternating, repeated
 
 # Robots with one rotation axis, and their angular momentum J [N·m·s].
 PROBLEMS = {"double_spherical_pendulum": 2.0, "planar_chain5": 1.0}
@@ -55,6 +55,14 @@ class FloquetTiming(FrozenArrays):
     period: float
     wall: Array
     error: Array
+
+    def tables(self) -> Tables:
+        """Return a row of the csv file for each route."""
+        rows: list[dict[str, object]] = [
+            {"robot": self.robot, "route": name, "wall": wall, "error": error}
+            for name, wall, error in zip(ROUTES, self.wall, self.error, strict=True)
+        ]
+        return {"floquet": rows}
 
     def __str__(self) -> str:
         rows = [

@@ -1,32 +1,38 @@
-"""Cost of flows: overhead of a call, of gradients, and of variable inertias."""
+"""Cost of flows and of derivatives: of flows relative to a run, of kernels to an evaluation."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
+import casadi as ca
 import numpy as np
+import pinocchio as pin
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.progress import Progress, one_by_one
 from ...integrators.integrate import Integration
 from ...integrators.methods.method import stepper_of
+from ...integrators.run_derivatives import run_back
+from ...integrators.stepping.compiling import compiled
+from ...integrators.stepping.kernel_call import SEEDS, call, call_slopes
+from ...integrators.stepping.linear_systems import jacobian
 from ...kernels.build import build_kernel
+from ...kernels.derived_code import tangent_of
 from ...kernels.differentiable import repeat_adjoint
 from ...kernels.evaluate import repeat
+from ...kernels.flow_functions import rate_of
+from ...kernels.reduced_graph import ReducedGraph
+from ...kernels.state_jacobian import jacobian_code
 from ...reduction.tree.free_bodies import STEP, Freed, pattern_of
 from ...simulation.flow_map.flow import Flow, flow
 from ...simulation.simulate import simulate
-from ...system.catalogue import has_example_robots
 from ...system.load import load
-from .flow_adjoints import beside_cvodes
-from .timing import alternating, repeated
+from .timing import TimingRow, fastest, repeated, robots_to_measure
 
-BUNDLED = ("planar_chain5", "satellite_two_arms")
-EXAMPLES = ("solo12", "talos")
 _SPAN = 2.0  # duration of the motion [s]
 _COUNT = 200  # number of evaluations in one timed call
 _ROUNDS, _BURST = 300, 1e-3  # many short rounds [s], so that some are not interrupted
@@ -34,7 +40,7 @@ _ROUNDS, _BURST = 300, 1e-3  # many short rounds [s], so that some are not inter
 
 @checks_arguments
 @dataclass(frozen=True)
-class FlowTiming:
+class FlowTiming(TimingRow):
     """Cost of one robot's flow: the fastest of several alternating rounds.
 
     Every call of a flow uses a different initial shape.
@@ -64,6 +70,25 @@ class FlowTiming:
         stages: Bytes stored per step for a gradient, if stage derivatives are stored too.
     """
 
+    ROW = (
+        "{robot:<20} {steps:>6} {integration:>12.1f} {call:>7.1f} {simulate:>9.1f} {step:>7.1f} "
+        "{gradient:>9.2f} {inertias:>9.2f} {gauss:>9.2f} {jax:>6.1f} {jax_gradient:>12.1f} "
+        "{cvodes:>7.0f} {apart:>8.1e} {adjoint:>8.2f} {free:>6.2f} {placed:>6.2f} "
+        "{generic:>7.2f} {stored:>12}"
+    )
+    TITLES: ClassVar[Mapping[str, str]] = {
+        **{name: f"{name}\n[µs]" for name in ("integration", "call", "simulate", "step")},
+        **{name: f"{name}\n[runs]" for name in ("gradient", "inertias")},
+        **{name: f"{name}\n[×]" for name in ("free", "placed", "generic")},
+        "gauss": "by Gauss\n[runs]",
+        "jax": "JAX\n[+µs]",
+        "jax_gradient": "its gradient\n[+µs]",
+        "cvodes": "CVODES\n[×]",
+        "adjoint": "adjoint\n[rates]",
+        "stored": "bytes/step",
+    }
+    FILE = "flow"
+
     robot: str
     steps: int
     integration: float
@@ -84,28 +109,10 @@ class FlowTiming:
     knots: int
     stages: int
 
-    @staticmethod
-    def header() -> str:
-        """Return the header of the table."""
-        return (
-            f"{'robot':<20} {'steps':>6} {'integration':>12} {'call':>7} {'simulate':>9} "
-            f"{'step':>7} {'gradient':>9} {'inertias':>9} {'by Gauss':>9} {'JAX':>6} "
-            f"{'its gradient':>12} {'CVODES':>7} {'apart':>8} {'adjoint':>8} {'free':>6} "
-            f"{'placed':>6} {'generic':>7} {'bytes/step':>12}\n"
-            f"{'':<20} {'':>6} {'[µs]':>12} {'[µs]':>7} {'[µs]':>9} {'[µs]':>7} {'[runs]':>9} "
-            f"{'[runs]':>9} {'[runs]':>9} {'[+µs]':>6} {'[+µs]':>12} {'[×]':>7} {'':>8} "
-            f"{'[rates]':>8} {'[×]':>6} {'[×]':>6} {'[×]':>7}"
-        )
-
-    def __str__(self) -> str:
-        return (
-            f"{self.robot:<20} {self.steps:>6} {self.integration:>12.1f} {self.call:>7.1f} "
-            f"{self.simulate:>9.1f} {self.step:>7.1f} {self.gradient:>9.2f} "
-            f"{self.inertias:>9.2f} {self.gauss:>9.2f} {self.jax:>6.1f} "
-            f"{self.jax_gradient:>12.1f} {self.cvodes:>7.0f} {self.apart:>8.1e} "
-            f"{self.adjoint:>8.2f} {self.free:>6.2f} "
-            f"{self.placed:>6.2f} {self.generic:>7.2f} {f'{self.knots}, {self.stages}':>12}"
-        )
+    @property
+    def stored(self) -> str:
+        """Bytes stored per step, without and with stage derivatives."""
+        return f"{self.knots}, {self.stages}"
 
 
 @checks_arguments
@@ -120,8 +127,7 @@ def bench_flow(
     Returns:
         One result for each robot.
     """
-    names = list(robots) or [*BUNDLED, *(EXAMPLES if has_example_robots() else ())]
-    return one_by_one(names, _bench_flow, progress, "flows")
+    return one_by_one(robots_to_measure(robots), _bench_flow, progress, "flows")
 
 
 def _bench_flow(name: str) -> FlowTiming:
@@ -156,24 +162,24 @@ def _bench_flow(name: str) -> FlowTiming:
         actions += [partial(_run, made, at), partial(_gradient, made, at, one)]
     at = _Elsewhere(by_motion)
     actions += [lambda: by_motion(x0=at()).x, *_of_jax(by_motion)]
-    times = alternating([repeated(each) for each in actions], rounds=_ROUNDS, span=_BURST)
-    integration, whole, linear, *runs = np.nanmin(times, axis=0) * 1e6
-    runs, (call, *of_jax) = runs[:6], runs[6:]
+    seconds = fastest([repeated(action) for action in actions], rounds=_ROUNDS, span=_BURST)
+    alone, whole, linear, *runs = (1e6 * each for each in seconds)
+    call, *of_jax = runs[6:]
     jax, jax_gradient = of_jax or (np.nan, np.nan)
     beside = beside_cvodes(by_motion, 1e-8)
     adjoint, free, placed, generic = _evaluations(by_motion)
     return FlowTiming(
         robot=name,
         steps=solution.steps,
-        integration=float(integration),
-        call=float(call),
-        simulate=float(whole),
-        step=float(linear),
-        gradient=float(runs[1] / runs[0]),
-        inertias=float(runs[3] / runs[2]),
-        gauss=float(runs[5] / runs[4]),
-        jax=float(jax - call),
-        jax_gradient=float(jax_gradient - runs[1]),
+        integration=alone,
+        call=call,
+        simulate=whole,
+        step=linear,
+        gradient=runs[1] / runs[0],
+        inertias=runs[3] / runs[2],
+        gauss=runs[5] / runs[4],
+        jax=jax - call,
+        jax_gradient=jax_gradient - runs[1],
         cvodes=beside.slower,
         apart=beside.error,
         adjoint=adjoint,
@@ -235,7 +241,7 @@ def _evaluations(made: Flow) -> list[float]:
     rates = [(one.rate.address, one.random_parameters(rng)) for one in (kernel, *loose)]
     adjoint, p, covector = made.propagator.field.adjoint(), rates[0][1], np.ones(len(y))
     out = np.empty(len(y) + len(p))
-    times = alternating(
+    folded, *loosened, back = fastest(
         [
             *(repeated(partial(repeat, address, numbers, y, _COUNT)) for address, numbers in rates),
             repeated(lambda: repeat_adjoint(adjoint, y, p, covector, out, _COUNT)),
@@ -243,5 +249,221 @@ def _evaluations(made: Flow) -> list[float]:
         rounds=_ROUNDS,
         span=_BURST,
     )
-    folded, *loosened, back = np.nanmin(times, axis=0).tolist()
     return [back / folded, *(one / folded for one in loosened)]
+
+
+_MOST = 1_000_000  # largest number of steps of CVODES
+_LONGEST = 3.0  # time limit for all runs of each of the two adjoints [s]
+
+
+@dataclass(frozen=True)
+class Adjoints:
+    """Gradients of λ · y at the end with respect to the initial reduced state and parameters.
+
+    Attributes:
+        cvodes: Gradient computed by CVODES, (n + p,).
+        own: Gradient computed by pinred, (n + p,).
+        slower: Ratio of CVODES's time to pinred's, forward run included; the fastest of several
+            alternating rounds. NaN if not timed.
+    """
+
+    cvodes: Array
+    own: Array
+    slower: float
+
+    @property
+    def error(self) -> float:
+        """Largest difference relative to the largest entry of the gradient."""
+        return float(np.abs(self.cvodes - self.own).max() / np.abs(self.own).max())
+
+
+def beside_cvodes(made: Flow, tolerance: float, *, timed: bool = True) -> Adjoints:
+    """Compute the gradient of a flow with the adjoints of pinred and of CVODES.
+
+    The flow must use an explicit method over a single segment. The component along each
+    quaternion's length is excluded: the flow normalises quaternions, CVODES does not.
+
+    Args:
+        made: The flow.
+        tolerance: Relative tolerance of CVODES.
+        timed: Whether to measure the time of both adjoints.
+    Returns:
+        Both gradients and the time ratio.
+    """
+    propagator, kernel = made.propagator, made.propagator.kernel
+    run = made.run({})
+    (solution,) = run.solutions
+    y0, parameters, times = solution.states[0].copy(), solution.params, solution.times
+    covector = np.random.default_rng(0).normal(size=len(y0))
+    none = np.zeros((len(times), len(y0)))
+    first, count = kernel.layout.quaternions
+    adjoint = _cvodes(made, tolerance)
+    by_cvodes = partial(adjoint, y0, parameters, covector)
+
+    def own() -> Any:
+        (now,) = propagator.run(run.given, stages=True).solutions
+        return run_back(propagator.method, propagator.field, now, times, covector, none)
+
+    theirs = [np.array(each).ravel() for each in by_cvodes()]
+    mine = own()
+    for k in range(first, first + 4 * count, 4):
+        place = slice(k, k + 4)
+        q = y0[place] / np.linalg.norm(y0[place])
+        for slopes in (theirs[0], mine.by_state):
+            slopes[place] -= q * (q @ slopes[place])
+    slower = float("nan")
+    if timed:
+        slow, fast = fastest([repeated(by_cvodes), repeated(own)], budget=_LONGEST)
+        slower = slow / fast
+    own_slopes = np.concatenate([mine.by_state, mine.by_parameters])
+    return Adjoints(np.concatenate(theirs), own_slopes, slower)
+
+
+def _cvodes(made: Flow, tolerance: float) -> Any:
+    """Return the function (y₀, parameters, λ) → gradient, computed by CasADi's CVODES."""
+    kernel = made.propagator.kernel
+    rate = ReducedGraph(kernel.system, kernel.structure, kernel.forces).rate()
+    y, p = ca.SX.sym("y", rate.numel_in(0)), ca.SX.sym("p", rate.numel_in(1))
+    options = {"reltol": tolerance, "abstol": 1e-2 * tolerance, "max_num_steps": _MOST}
+    dae = {"x": y, "p": p, "ode": rate(y, p)}
+    whole = ca.integrator("cvodes", "cvodes", dae, 0.0, made.scene.end, options)
+    return whole.factory("adjoint", ["x0", "p", "adj:xf"], ["adj:x0", "adj:p"])
+
+
+_DERIVATIVE_ROUNDS = 100
+
+
+@checks_arguments
+@dataclass(frozen=True)
+class DerivativeTiming(TimingRow):
+    """Cost of derivatives of one robot: ratios of the fastest of several alternating rounds.
+
+    Attributes:
+        robot: Name of the robot.
+        joints: Number of joints.
+        jvp: Time of a flow's derivative along one direction, including its run, in runs.
+        vjp: Time of a flow's gradient, including its run, in runs.
+        direction: Time of the rates with their derivative along one direction, in rates.
+        eight: Time of the derivatives along eight directions, in rates.
+        adjoint: Time of an adjoint evaluation, in rates.
+        jacobian: Time of the state Jacobian by recursion, in rates.
+        columns: Time of the state Jacobian by eight columns at once, in rates.
+        pinocchio: Time of Pinocchio's computeABADerivatives, in its aba, both called from Python.
+    """
+
+    ROW = (
+        "{robot:<20} {joints:>6} {jvp:>9.2f} {vjp:>9.2f} {direction:>9.2f} {eight:>9.2f} "
+        "{adjoint:>9.2f} {jacobian:>9.2f} {columns:>9.2f} {pinocchio:>9.2f}"
+    )
+    TITLES: ClassVar[Mapping[str, str]] = {
+        **{name: f"{name}\n[runs]" for name in ("jvp", "vjp")},
+        **{name: f"{name}\n[rates]" for name in ("direction", "eight", "adjoint", "columns")},
+        "jacobian": "Jacobian\n[rates]",
+        "pinocchio": "Pinocchio\n[aba]",
+    }
+    FILE = "derivatives"
+
+    robot: str
+    joints: int
+    jvp: float
+    vjp: float
+    direction: float
+    eight: float
+    adjoint: float
+    jacobian: float
+    columns: float
+    pinocchio: float
+
+
+@checks_arguments
+def bench_derivatives(
+    robots: Sequence[str] = (), *, progress: Progress | bool | None = None
+) -> list[DerivativeTiming]:
+    """Measure the cost of each robot's derivatives.
+
+    Args:
+        robots: Names or files of robots whose joints are hinges and slides; two bundled robots and,
+            if installed, solo12 and talos by default.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        One result for each robot.
+    """
+    return one_by_one(robots_to_measure(robots), _bench_derivatives, progress, "derivatives")
+
+
+def _bench_derivatives(name: str) -> DerivativeTiming:
+    system = load(name, gravity=(0.0, 0.0, 0.0))
+    options: Any = {"seed": 1, "duration": _SPAN, "method": "DOP853", "rtol": 1e-8}
+    made = flow(system, wrt=["x0", "xdot0", "xi0"], **options)
+    own, calls = made.own("x0"), [0]
+    along = {"x0": np.ones(system.m)}
+    covector = np.ones(sum(rows.stop - rows.start for rows in made.outputs.values()))
+
+    def x0() -> Array:  # a different shape at each call, so that the flow runs again
+        calls[0] += 1
+        return np.asarray(own + 1e-9 * calls[0])
+
+    flows = [
+        repeated(lambda: made.run({"x0": x0()})),
+        repeated(lambda: made.jvp(along, x0=x0())),
+        repeated(lambda: made.vjp(covector, x0=x0())),
+    ]
+    often: Any = {"rounds": _DERIVATIVE_ROUNDS, "span": _BURST}
+    run, jvp, vjp = fastest(flows, **often)
+    rate, *kernels = fastest(_kernels(made), **often)
+    model, data = system.model, system.model.createData()
+    q, v, tau = pin.neutral(model), np.ones(model.nv), np.zeros(model.nv)
+    functions = (pin.aba, pin.computeABADerivatives)
+    by_pinocchio = [repeated(partial(f, model, data, q, v, tau)) for f in functions]
+    aba, derivatives = fastest(by_pinocchio, **often)
+    direction, eight, adjoint, recursion, columns = (kernel / rate for kernel in kernels)
+    return DerivativeTiming(
+        robot=name, joints=system.m, jvp=jvp / run, vjp=vjp / run, direction=direction,
+        eight=eight, adjoint=adjoint, jacobian=recursion, columns=columns,
+        pinocchio=derivatives / aba,
+    )  # fmt: skip
+
+
+def _kernels(made: Flow) -> list[Any]:
+    """Return repetitions of the rate, then of its derivatives in the order of DerivativeTiming."""
+    kernel = made.propagator.kernel
+    function = rate_of(kernel)
+    (solution,) = made.run({}).solutions
+    y, p = solution.states[0].copy(), solution.params
+    n = len(y)
+    dy, dp, out = np.ones(n), np.ones(len(p)), np.empty(2 * n)
+    wide = np.ones(n * SEEDS), np.ones(len(p) * SEEDS), np.empty(n * SEEDS)
+    covector, back = np.ones(n), np.empty(n + len(p))
+    matrix, columns = np.empty(n * n), np.empty((n, n + SEEDS))
+    seeds, slopes = np.zeros((2, n * SEEDS))
+    tangent = tangent_of(kernel).address
+    return [
+        partial(repeat, kernel.rate.address, p, y),
+        partial(_repeat_tangent, function.pair.address, y, p, dy, dp, out),
+        partial(_repeat_tangent, function.tangent.address, y, p, *wide),
+        partial(repeat_adjoint, function.adjoint.address, y, p, covector, back),
+        partial(_repeat_jacobian, jacobian_code(kernel).address, y, p, matrix),
+        partial(_repeat_columns, tangent, y, p, seeds, slopes, columns),
+    ]
+
+
+@compiled
+def _repeat_tangent(
+    address: int, y: Array, p: Array, dy: Array, dp: Array, out: Array, count: int
+) -> None:
+    for _ in range(count):
+        call_slopes(address, y, p, dy, dp, out)
+
+
+@compiled
+def _repeat_jacobian(address: int, y: Array, p: Array, out: Array, count: int) -> None:
+    for _ in range(count):
+        call(address, y, p, out)
+
+
+@compiled
+def _repeat_columns(
+    address: int, y: Array, p: Array, seeds: Array, slopes: Array, matrix: Array, count: int
+) -> None:
+    for _ in range(count):
+        jacobian(address, y, p, seeds, slopes, matrix, 0, len(y))

@@ -1,7 +1,8 @@
 """How fast the chosen method is, compared with the fastest method that is at least as accurate.
 
 Each method integrates each scene with the scene's tolerance.  The error is the largest difference
-of the final reduced state from that of a method with a much smaller tolerance.
+of the final reduced state from that of a method with a much smaller tolerance. Among the scenes are
+random robots with springs, dampers and held joints.
 """
 
 from __future__ import annotations
@@ -10,20 +11,26 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from time import process_time
+from typing import ClassVar
 
 import numpy as np
+import pinocchio as pin
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, read_only
 from ...common.errors import PinredError
 from ...common.progress import Progress, one_by_one
+from ...forces.force import Force
+from ...forces.kinds import PD, Damper, Spring
 from ...integrators.methods.default_tolerances import ATOL, RTOL
 from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.compiled.integrator import integrator
 from ...simulation.plan import Plan, plan_of
-from .held_robots import held_robot
-from .scenes import SCENES, problems_named
+from ...system.load import load
+from ...system.system import System
+from .problems import SCENES, problems_named
+from .timing import Tables, TimingRow, alternating, repeated
 
 METHODS = ("DOP853", "Tsit5", "AdaptiveGauss", "Radau")
 GOOD, WORST = 1.3, 3.0  # requested ratio of most scenes, and of all scenes
@@ -40,7 +47,7 @@ class _TooSlowError(Exception):
 
 @checks_arguments
 @dataclass(frozen=True)
-class MethodChoice:
+class MethodChoice(TimingRow):
     """Times and errors of all methods for one scene.
 
     Attributes:
@@ -49,6 +56,11 @@ class MethodChoice:
         cpu: CPU time of an integration by method [s]; infinity if the method fails or is too slow.
         error: Largest error of the final reduced state by method.
     """
+
+    ROW = "{scene:<26}{chosen:<14}{ratio:>6.2f}{cells}"
+    TITLES: ClassVar[Mapping[str, str]] = {
+        "cells": "".join(f"{name + ' [ms]':>17}" for name in METHODS)
+    }
 
     scene: str
     chosen: str
@@ -67,26 +79,33 @@ class MethodChoice:
         """Time of the chosen method divided by that of the best method."""
         return self.cpu[self.chosen] / self.cpu[self.best]
 
-    def __str__(self) -> str:
-        cells = (f"{1e3 * self.cpu[n]:>9.3g} {self.error[n]:>7.0e}" for n in METHODS)
-        return f"{self.scene:<26}{self.chosen:<14}{self.ratio:>6.2f}" + "".join(cells)
+    @property
+    def cells(self) -> str:
+        """Times and errors of all methods, as text."""
+        return "".join(f"{1e3 * self.cpu[n]:>9.3g} {self.error[n]:>7.0e}" for n in self.cpu)
 
-    @staticmethod
-    def header() -> str:
-        """Return the titles of the columns."""
-        columns = "".join(f"{name + ' [ms]':>17}" for name in METHODS)
-        return f"{'scene':<26}{'chosen':<14}{'ratio':>6}{columns}"
+    @classmethod
+    def summary(cls, results: Sequence[TimingRow]) -> list[str]:
+        """Return a line with the share of good choices.
 
+        Args:
+            results: Results of all scenes.
+        Returns:
+            The line, in a list.
+        """
+        ratios = np.array([result.ratio for result in results if isinstance(result, cls)])
+        share = 100.0 * float((ratios <= GOOD).mean())
+        return [
+            f"{share:.1f} % of {len(ratios)} scenes within {GOOD:g} times the fastest method that "
+            f"is at least as accurate; largest ratio {ratios.max():.2f} (bars: 95 %, {WORST:g})"
+        ]
 
-def summary(choices: Sequence[MethodChoice]) -> str:
-    """Return the table of all scenes, with the share of good choices."""
-    ratios = np.array([choice.ratio for choice in choices])
-    share = 100.0 * float((ratios <= GOOD).mean())
-    last = (
-        f"{share:.1f} % of {len(choices)} scenes within {GOOD:g} times the fastest method that is "
-        f"at least as accurate; largest ratio {ratios.max():.2f} (bars: 95 %, {WORST:g})"
-    )
-    return "\n".join([MethodChoice.header(), *map(str, choices), last])
+    def tables(self) -> Tables:
+        """Return the row of the csv file, with a time and an error for each method."""
+        row: dict[str, object] = {"scene": self.scene, "chosen": self.chosen, "ratio": self.ratio}
+        row |= {f"{name} cpu": seconds for name, seconds in self.cpu.items()}
+        row |= {f"{name} error": error for name, error in self.error.items()}
+        return {"methods": [row]}
 
 
 @checks_arguments
@@ -99,13 +118,13 @@ def bench_methods(
     """Time all methods on bench scenes, bundled robots and random robots with held joints.
 
     Args:
-        scenes: Names in SCENES; all scenes of up to 20 joints if None.
+        scenes: Names in SCENES; all scenes of up to 20 joints if None or empty.
         held: Number of random robots with springs, dampers and held joints.
         progress: As in `simulate`.
     Returns:
         The result of each scene with a reference.
     """
-    cases = list(_cases(scenes, held))
+    cases = list(_cases(scenes or None, held))
     results = one_by_one(cases, lambda case: measure(*case), progress, "methods")
     return [result for result in results if result is not None]
 
@@ -168,10 +187,64 @@ def _run(plan: Plan, rounds: int) -> tuple[Array, float]:
     solution = once(0.0, end, flow.y0, parameters)
     first = process_time() - began
     run = partial(integrator(flow, plan, None), 0.0, end, flow.y0, parameters)
-    count, times = max(1, int(_SPAN / first)), [first]
-    for _ in range(rounds if rounds * first < _PATIENCE else 0):
-        began = process_time()
-        for _ in range(count):
-            run()
-        times.append((process_time() - began) / count)
-    return solution.at(np.array([end]))[0], min(times)
+    if 0.0 < rounds * first < _PATIENCE:
+        times = alternating([repeated(run)], rounds=rounds, span=_SPAN, clock=process_time)
+        first = min(first, float(times.min()))
+    return solution.at(np.array([end]))[0], first
+
+
+_ROOTS = (pin.JointModelPlanar, pin.JointModelFreeFlyer)
+_JOINTS = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)
+_MOST_JOINTS = 8
+_STIFFNESS = (-1.0, 4.0)  # decimal exponents of stiffnesses [N·m/rad]
+_RATIO = (-3.0, 0.5)  # decimal exponents of damping divided by stiffness [s]
+
+
+def held_robot(seed: int, duration: float = 2.0) -> Scene:
+    """Return a random robot from a random initial state, with forces at most of its joints.
+
+    Args:
+        seed: Seed of the robot, its forces and its initial state.
+        duration: Duration of the scene [s].
+    Returns:
+        The scene, which reports its end only.
+    """
+    rng = np.random.default_rng(seed)
+    system = _tree(rng, seed)
+    forces: list[Force] = []
+    for name in system.shape_names:
+        stiffness = float(10.0 ** rng.uniform(*_STIFFNESS))
+        damping = stiffness * float(10.0 ** rng.uniform(*_RATIO))
+        kind = rng.integers(4)
+        if kind == 0:
+            forces.append(Spring(name, stiffness, 0.1))
+        elif kind == 1:
+            forces.append(Damper(name, damping))
+        elif kind == 2:
+            forces.append(PD({name: float(rng.uniform(-0.5, 0.5))}, stiffness, damping))
+    x0, xdot0 = rng.normal(scale=(0.3, 1.0), size=(system.m, 2)).T
+    xi0 = rng.normal(scale=0.3, size=system.r)
+    return Scene(system=system, x0=x0, xdot0=xdot0, xi0=xi0, times=[duration], forces=forces)
+
+
+def _tree(rng: np.random.Generator, seed: int) -> System:
+    """Return a random tree of 1 to _MOST_JOINTS hinges on a free base."""
+    model = pin.Model()
+    model.name, model.gravity = f"held{seed}", pin.Motion.Zero()
+    planar = rng.random() < 0.3
+    bodies = [model.addJoint(0, _ROOTS[not planar](), pin.SE3.Identity(), "base")]
+    model.appendBodyToJoint(bodies[0], _body(rng, 5.0), pin.SE3.Identity())
+    for k in range(int(rng.integers(1, _MOST_JOINTS + 1))):
+        joint = _JOINTS[2 if planar else int(rng.integers(3))]()
+        lever = rng.uniform(-0.4, 0.4, 3) * ([1.0, 1.0, 0.0] if planar else [1.0, 1.0, 1.0])
+        parent = bodies[-1] if rng.random() < 0.7 else bodies[int(rng.integers(len(bodies)))]
+        bodies.append(model.addJoint(parent, joint, pin.SE3(np.eye(3), lever), f"joint{k}"))
+        model.appendBodyToJoint(bodies[-1], _body(rng, 1.0), pin.SE3.Identity())
+    return load(model)
+
+
+def _body(rng: np.random.Generator, scale: float) -> pin.Inertia:
+    """Return a random box whose mass is about `scale` [kg]."""
+    mass, sides = scale * float(rng.uniform(0.5, 2.0)), rng.uniform(0.1, 0.5, 3)
+    moments = mass / 12.0 * (sides @ sides - sides**2)
+    return pin.Inertia(mass, rng.uniform(-0.1, 0.1, 3) * [1.0, 1.0, 0.0], np.diag(moments))

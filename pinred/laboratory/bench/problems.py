@@ -1,20 +1,68 @@
-"""Problems of the accuracy benchmark: a system, its initial state and duration."""
+"""Problems of the accuracy benchmark: a system, its initial state and duration.
+
+SCENES contains one entry for each named problem.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, freeze
+from ...common.errors import InputError
 from ...judge.distances import FullMotion
 from ...judge.reference_solution import FullState
+from ...scene.random_state import random_state
 from ...scene.scene import Scene
+from ...system.catalogue import INSTALL_ROBOTS, bundled_robots, has_example_robots
 from ...system.coordinates import InitialState
+from ...system.load import load
 from ...system.system import System
+
+FAMILIES = ("planar", "spatial")
+_LENGTH, _WIDTH, _MASS = 0.2, 0.05, 1.0  # length [m], width [m] and mass [kg] of a link
+
+
+def chain(family: str, joints: int) -> System:
+    """Build a chain of `joints` + 1 equal links without gravity.
+
+    Args:
+        family: "planar": SE(2) base with joints about the plane's normal. "spatial": SE(3) base
+            with joints alternating about two axes normal to the link.
+        joints: Number of joints.
+    Returns:
+        The chain.
+    Raises:
+        InputError: Unknown family, or no joint.
+    """
+    if family not in FAMILIES or joints < 1:
+        raise InputError(
+            f"a chain is {' or '.join(FAMILIES)} and has at least one joint, "
+            f"got {family!r} with {joints}"
+        )
+    planar = family == "planar"
+    model = pin.Model()
+    model.name = f"{family}-chain-{joints}"
+    model.gravity = pin.Motion.Zero()
+    offset = np.array([_LENGTH, 0.0, 0.0])
+    link = pin.Inertia.FromBox(_MASS, _LENGTH, _WIDTH, _WIDTH)
+    link.lever = 0.5 * offset
+    parent = 0
+    for k in range(joints + 1):
+        if k == 0:
+            joint = pin.JointModelPlanar() if planar else pin.JointModelFreeFlyer()
+        else:
+            joint = pin.JointModelRY() if not planar and k % 2 else pin.JointModelRZ()
+        place = pin.SE3(np.eye(3), offset if k else np.zeros(3))
+        parent = model.addJoint(parent, joint, place, f"joint{k}")
+        model.appendBodyToJoint(parent, link, pin.SE3.Identity())
+    return load(model)
 
 
 @checks_arguments
@@ -93,3 +141,133 @@ class Problem:
         """
         d = self.full.distance(a, b)
         return float(np.max([d.shape[0], d.rotation[0], d.position[0]]))
+
+
+BARS = ("planar1", "planar5", "satellite", "solo12", "talos")
+CHAINS = {"planar": (2, 3, 5, 10, 20, 50), "spatial": (2, 3, 5, 10, 20, 50)}
+CHAIN_TIME = 2.0  # duration [s]; long chains become chaotic a few seconds later
+_EXAMPLES = {"solo12": (4.0, 1.0), "talos": (2.0, 2.0)}  # duration [s], factor of initial rates
+# Scene name → bundled robot, and the factor by which its initial rates are multiplied.
+_FASTER = {"planar5": ("planar_chain5", 2.0), "satellite": ("satellite_two_arms", 3.0)}
+_NO_GRAVITY = (0.0, 0.0, 0.0)
+
+
+def planar_joint() -> Problem:
+    """Return two coupled planar bodies whose locked inertia depends on the joint angle."""
+    system = load("planar_chain5", lock=("joint2", "joint3", "joint4", "joint5"))
+    start = InitialState(
+        x=np.array([0.3]), xdot=np.array([1.2]), xi=np.array([0.1, 0.2, -0.3]), duration=10.0
+    )
+    return Problem("planar1", "planar_chain5 with all joints but the first locked", system, start)
+
+
+def bundled(name: str) -> Problem:
+    """Return a bundled robot with its default initial state."""
+    system = load(name)
+    if system.initial is None:
+        raise InputError(f"'{name}' has no default initial state")
+    return Problem(
+        name, f"{bundled_robots()[name].description}, default initial state", system, system.initial
+    )
+
+
+def faster(name: str) -> Problem:
+    """Return a bundled robot with its default initial state and its rates scaled by a factor."""
+    robot, factor = _FASTER[name]
+    slow = bundled(robot)
+    about = f"{robot} from its default state with rates times {factor:g}"
+    return Problem(name, about, slow.system, _scaled(slow.start, factor, slow.start.duration))
+
+
+def example(name: str) -> Problem:
+    """Return a robot of example-robot-data without gravity, from a random initial state."""
+    system = load(name, gravity=_NO_GRAVITY)
+    duration, factor = _EXAMPLES[name]
+    about = f"{name} tumbling without torque or gravity, seed 0"
+    about += f", rates times {factor:g}" if factor != 1.0 else ""
+    return Problem(name, about, system, _scaled(random_state(system, 0), factor, duration))
+
+
+def _scaled(state: InitialState, factor: float, duration: float) -> InitialState:
+    return InitialState(state.x, factor * state.xdot, factor * state.xi, duration)
+
+
+def chained(family: str, joints: int) -> Problem:
+    """Return a chain of equal links, from a random initial state."""
+    system = chain(family, joints)
+    start = _scaled(random_state(system, 0), 1.0, CHAIN_TIME)
+    name = f"{family}-{joints}"
+    return Problem(name, f"a {family} chain of {joints} joints, seed 0", system, start)
+
+
+def _factories() -> dict[str, Callable[[], Problem]]:
+    factories: dict[str, Callable[[], Problem]] = {"planar1": planar_joint}
+    # The peers of the benchmark have no ball joints in pinred's coordinates, and no closed loops.
+    robots = [name for name, robot in bundled_robots().items() if not (robot.balls or robot.loops)]
+    factories |= {name: partial(bundled, name) for name in robots}
+    factories |= {name: partial(faster, name) for name in _FASTER}
+    factories |= {name: partial(example, name) for name in _EXAMPLES}
+    for family, sizes in CHAINS.items():
+        factories |= {f"{family}-{n}": partial(chained, family, n) for n in sizes}
+    return factories
+
+
+SCENES = _factories()
+
+
+@checks_arguments
+def problems_named(names: Sequence[str] | None = None) -> tuple[list[Problem], list[str]]:
+    """Build the problems with the given names.
+
+    Args:
+        names: Names in SCENES; BARS if None.
+    Returns:
+        The problems, and one message for each problem that needs a missing package.
+    Raises:
+        InputError: Unknown name.
+    """
+    requested = list(dict.fromkeys(BARS if names is None else names))
+    for name in requested:
+        if name not in SCENES:
+            raise InputError(f"no scene '{name}'; the scenes are {', '.join(SCENES)}")
+    unavailable = [n for n in requested if n in _EXAMPLES and not has_example_robots()]
+    missing = [f"{name} is left out: {INSTALL_ROBOTS}" for name in unavailable]
+    return [SCENES[name]() for name in requested if name not in unavailable], missing
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Relative changes of conserved quantities from the start to the end of a motion.
+
+    Attributes:
+        energy: Change of energy relative to the initial kinetic energy T, which excludes the
+            uniform motion of the centre of mass.
+        momentum: Largest change of a conserved component, relative to √(2mT); for angular
+            components, to √(2mT) times the radius of gyration. Angular momentum is taken about
+            the centre of mass if the group translates, else about the pivot.
+    """
+
+    energy: float
+    momentum: float
+
+
+def compute_drift(problem: Problem, q: Array, v: Array) -> Drift:
+    """Compute the drift between the start of a problem and a final state q (nq,), v (n,)."""
+    full, system, start = problem.full, problem.system, problem.start
+    k = system.group.linear
+    q0, v0 = problem.q0, problem.v0
+    total = full.totals.kinetic_energy(q0, v0)
+    internal = total - full.totals.com_kinetic_energy(q0, v0)
+    scale = internal if internal > 1e-9 * total else total
+    fall = system.mass * system.gravity * start.duration
+    about_pivot = not system.group.turns_about_com
+    before = full.totals.momentum(q0, v0, np.zeros(3), about_pivot=about_pivot)
+    after = full.totals.momentum(q, v, fall, about_pivot=about_pivot)
+    unit = np.full(system.r, np.sqrt(2.0 * system.mass * scale))
+    unit[k:] *= full.totals.radius_of_gyration(q0)
+    energy = total + full.totals.potential_energy(q0)
+    gained = full.totals.kinetic_energy(q, v) + full.totals.potential_energy(q) - energy
+    return Drift(
+        energy=float(abs(gained) / scale if scale > 0.0 else abs(gained)),
+        momentum=float(np.max(np.abs(after - before) / np.where(unit > 0.0, unit, 1.0))),
+    )

@@ -20,8 +20,8 @@ from ...common.errors import IntegrationError
 from ...judge.distances import FullMotion
 from ...judge.reference_solution import FINEST
 from ...system.state_fields import with_base
+from .peers.heyoka import has_heyoka, reduced_graph, taylor_expressions
 from .problems import Problem
-from .taylor import has_heyoka, reduced_graph, taylor_expressions
 
 _QUAD = (1e-23, 1e-20)  # tolerances in quadruple precision
 _EPS = float(np.finfo(float).eps)

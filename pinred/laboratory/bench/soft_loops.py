@@ -7,7 +7,6 @@ must not be below two steps.  A stiffer loop therefore needs shorter steps.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -26,6 +25,7 @@ from ...system.loops.kinematics import LoopKinematics, loop_ends
 from ...system.loops.loop import Loop
 from ...system.system import System
 from .peers.mujoco import MujocoModel
+from .timing import Tables, fastest, repeated
 
 ROBOTS = ("four_bar", "gripper", "parallel_biped")
 DURATION = 0.5  # [s]
@@ -77,6 +77,11 @@ class SoftLoops:
     duration: float
     rows: tuple[SoftLoop, ...]
 
+    def tables(self) -> Tables:
+        """Return a row of the csv file for each motion."""
+        head: dict[str, object] = {"robot": self.robot, "duration": self.duration}
+        return {"loops": [{**head, **vars(row)} for row in self.rows]}
+
     def __str__(self) -> str:
         lines = [
             f"  {row.method:<66} {row.gap:9.1e} {row.error:12.1e} {row.energy:9.1e} "
@@ -112,11 +117,8 @@ def _measure(name: str, duration: float) -> SoftLoops:
 
 
 def _by_pinred(scene: Scene, rtol: float, exact: Trajectory) -> SoftLoop:
-    traj, wall = simulate(scene, rtol=rtol, atol=1e-2 * rtol), np.inf
-    for _ in range(_ROUNDS):
-        start = time.perf_counter()
-        traj = simulate(scene, rtol=rtol, atol=1e-2 * rtol)
-        wall = min(wall, time.perf_counter() - start)
+    run = partial(simulate, scene, rtol=rtol, atol=1e-2 * rtol)
+    traj, (wall,) = run(), fastest([repeated(run)], rounds=_ROUNDS, span=0.0)
     error = float(np.abs(traj.x[-1] - exact.x[-1]).max())
     drift = float(np.ptp(traj.energy)) / float(exact.energy[0])
     method = f"pinred, rtol {rtol:.0e}"
@@ -168,11 +170,8 @@ def _by_mujoco(
     model.opt.integrator = getattr(bridge.mj.mjtIntegrator, f"mjINT_{integrator.upper()}")
     model.opt.tolerance, model.opt.iterations = 1e-12, 200
     q, v, x = exact.q[0], exact.v[0], exact.x[0]
-    wall, duration = np.inf, float(exact.t[-1])
-    for _ in range(_ROUNDS):
-        start = time.perf_counter()
-        states = bridge.run(q, v, x, step, duration)
-        wall = min(wall, time.perf_counter() - start)
+    run = partial(bridge.run, q, v, x, step, float(exact.t[-1]))
+    states, (wall,) = run(), fastest([repeated(run)], rounds=_ROUNDS, span=0.0)
     ends = [bridge.end(state, np.zeros(model.nv), 0.0) for state in states]
     gap = _largest_gap(system, np.array([end.q for end in ends]))
     end = bridge.end(bridge.data.qpos.copy(), bridge.data.qvel.copy(), 0.0)

@@ -1,14 +1,26 @@
-"""Work–precision results of one problem: run times, errors, and time ratios at equal error."""
+"""Work–precision results of one problem: run times, errors, and time ratios at equal error.
+
+A record of results is one csv file whose rows are self-contained. The rows of a scene are written
+together. An interrupted benchmark keeps all completed scenes and can continue with the next scene.
+Every row names its run. Reading keeps runs separate, so that ratios never compare times of
+different runs.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
+import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 
 import numpy as np
 
 from ...common.argument_kinds import checks_arguments
-from ...common.errors import InputError
+from ...common.errors import InputError, LoadError
+from ...common.files import read_plain_file, write_table
+from ...common.names import quoted_path
 
 ERRORS = tuple(float(f"1e-{k}") for k in range(4, 14))
 
@@ -27,7 +39,7 @@ class Point:
         shape: Largest |Δx| [rad | m].
         rotation: Norm of the rotational part of log(g⁻¹ĝ) of the base [rad].
         position: Norm of the translational part of log(g⁻¹ĝ) [m].
-        energy: Relative drift of energy, see conservation_drift.py.
+        energy: Relative drift of energy, see `compute_drift`.
         momentum: Relative drift of momentum.
         failure: Reason for a failure of the method, whose numbers are then NaN; "" otherwise.
     """
@@ -244,3 +256,100 @@ def _row(p: Point) -> str:
 
 def _cell(value: float) -> str:
     return f"{'—' if np.isnan(value) else format(value, '.3g'):>9}"
+
+
+NAME = "accuracy.csv"
+_MOST_BYTES = 10**8
+_POINT = tuple(field.name for field in fields(Point))
+_ABOUT = (
+    *("effort", "run", "problem", "description", "joints", "duration"),
+    *("reference_error", "reference"),
+)
+COLUMNS = (*_ABOUT, "about", *_POINT, "error")
+
+
+@checks_arguments
+def write_record(path: Path, effort: str, results: Iterable[WorkPrecision]) -> None:
+    """Write results to a csv file; on failure an existing file is kept.
+
+    Args:
+        path: The file.
+        effort: Name of the time budget (Effort) of the measurement.
+        results: Results of `bench_accuracy`.
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    rows: list[dict[str, object]] = []
+    for result in results:
+        head = {name: getattr(result, name) for name in _ABOUT[1:]} | {"effort": effort}
+        for point in result.points:
+            row = {name: getattr(point, name) for name in _POINT}
+            about = result.about[point.method]
+            rows.append({**head, **row, "about": about, "error": point.error})
+        rows += [
+            {**head, "method": method, "failure": line} for method, line in result.missing.items()
+        ]
+    write_table(path, COLUMNS, rows)
+
+
+@checks_arguments
+def read_record(path: Path, effort: str | None = None) -> list[WorkPrecision]:
+    """Read the results from a csv file, in the order of the file.
+
+    Args:
+        path: The file.
+        effort: Required effort of the measurement; None accepts any effort.
+    Returns:
+        The results.
+    Raises:
+        LoadError: The file cannot be read, or is not a record of `bench accuracy`.
+        InputError: The file was measured with another effort.
+    """
+    name, content = quoted_path(path), read_plain_file(path, _MOST_BYTES)
+    if content is None:
+        raise LoadError(f"cannot read table {name}: there is no such file")
+    try:
+        rows = list(csv.DictReader(io.StringIO(content.decode(), newline="")))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise LoadError(f"cannot read table {name}: {error}") from None
+    groups: dict[tuple[str, str], list[dict[str, str]]] = {}
+    try:
+        for row in rows:
+            groups.setdefault((row["problem"], row["run"]), []).append(row)
+        other_efforts = {row["effort"] for row in rows} - {effort}
+        results = [_result_of_rows(group) for group in groups.values()]
+    except (KeyError, ValueError, TypeError) as error:
+        reason = f"it has no column {error}" if isinstance(error, KeyError) else error
+        raise LoadError(
+            f"{name} is not accuracy.csv of `pinred bench accuracy`: {reason}"
+        ) from None
+    if effort is not None and other_efforts:
+        raise InputError(
+            f"{name} was measured as '{min(other_efforts)}', not '{effort}': "
+            "choose another folder, or the same options"
+        )
+    return results
+
+
+def _result_of_rows(rows: list[dict[str, str]]) -> WorkPrecision:
+    head = rows[0]
+    measured = [row for row in rows if row["tolerance"]]
+    return WorkPrecision(
+        problem=head["problem"],
+        description=head["description"],
+        joints=int(head["joints"]),
+        duration=float(head["duration"]),
+        reference_error=float(head["reference_error"]),
+        reference=head["reference"],
+        about={row["method"]: row["about"] for row in measured},
+        points=tuple(_point_of_row(row) for row in measured),
+        missing={row["method"]: row["failure"] for row in rows if not row["tolerance"]},
+        run=head["run"],
+    )
+
+
+def _point_of_row(row: dict[str, str]) -> Point:
+    numbers = {name: float(row[name]) for name in _POINT if name not in ("method", "failure")}
+    if not math.isfinite(numbers["tolerance"]):
+        raise ValueError(f"a tolerance of {row['tolerance']}")
+    return Point(method=row["method"], failure=row["failure"], **numbers)

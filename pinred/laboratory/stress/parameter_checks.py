@@ -18,7 +18,7 @@ from ...reduction.inertia_split import symmetric
 from ...scene.scene import Scene
 from ...system.load import load
 from ...system.system import System
-from ..bench.chains import chain
+from ..bench.problems import chain
 from .check import DEFECT, EPS, PER_RADIAN, Case, Cases, Trial, check, dop853, tolerance
 from .reference_motions import (
     TUMBLING,

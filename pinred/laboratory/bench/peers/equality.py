@@ -1,4 +1,4 @@
-"""Check of a peer's model: mass matrix and accelerations against Pinocchio at random states."""
+"""What bridges to peers share: equality of models, and velocities in fixed axes."""
 
 from __future__ import annotations
 
@@ -102,3 +102,17 @@ def missing_unless_equal(
 def _relative(actual: Array, expected: Array) -> float:
     """Return the largest difference, relative to the largest expected entry unless that is 0."""
     return float(np.abs(actual - expected).max() / (np.abs(expected).max() or 1.0))
+
+
+def root_rotation(system: System, q: Array) -> Array:
+    """Return the matrix (k, k) that rotates the root's linear velocity from body to fixed axes."""
+    k, pose = system.group.linear, system.configuration(q).pose
+    return system.group.Ad(pose)[:k, :k]
+
+
+def frame_rotation_term(system: System, v: Array) -> Array:
+    """Return ω × v of the root, (k,): the acceleration due to the rotation of body axes."""
+    axes, k = list(system.group.axes), system.group.linear
+    twist = np.zeros(6)
+    twist[axes] = v[: system.r]
+    return np.asarray(np.cross(twist[3:], twist[:3])[axes[:k]])

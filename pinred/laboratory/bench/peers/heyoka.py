@@ -1,20 +1,131 @@
-"""heyoka's Taylor integrator on pinred's reduced equations, in double precision."""
+"""heyoka's Taylor integrator on pinred's reduced equations, for one member or a batch."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Sequence
+from functools import cache, partial
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
-from ....common.errors import IntegrationError
+from ....common.arrays import Array
+from ....common.errors import IntegrationError, UnsupportedOperationError
 from ....system.state_fields import with_base
+from ..member_batch import BatchSolver, PreparedBatch, compile_members, final_states
 from ..problems import Problem
 from ..solver import End, PreparedRun, Solver, decades
-from ..taylor import has_heyoka, reduced_graph, taylor_integrator
 from .equality import INSTALL
+
+
+def has_heyoka() -> bool:
+    """Return whether heyoka is installed."""
+    return find_spec("heyoka") is not None
+
+
+def reduced_graph(problem: Problem) -> ca.Function:
+    """Return the reduced vector field that pinred compiles, as a CasADi Function."""
+    from ....kernels.reduced_graph import ReducedGraph
+    from ....simulation.compiled.compiled_flow import CompiledFlow
+    from ....simulation.plan import plan_of
+
+    kernel = CompiledFlow.of_plan(plan_of(problem.scene())).kernel
+    return ReducedGraph(problem.system, kernel.structure).rate()
+
+
+def taylor_expressions(function: ca.Function, parameters: Sequence[Any]) -> list[tuple[Any, Any]]:
+    """Translate a CasADi Function (y, parameters) → dy/dt to heyoka expressions.
+
+    Numbers in `parameters` become constants, and constant subexpressions are folded. Expressions in
+    `parameters` stay symbolic.
+
+    Args:
+        function: The CasADi Function.
+        parameters: Numbers or heyoka expressions.
+    Returns:
+        Pairs (yᵢ, dyᵢ/dt).
+    Raises:
+        UnsupportedOperationError: heyoka lacks an operation of the function.
+    """
+    hy = import_module("heyoka")
+    y = [hy.expression(f"y{k}") for k in range(function.numel_in(0))]
+    inputs: list[Sequence[Any]] = [y, list(parameters)]
+    rate: list[Any] = [0.0] * function.numel_out(0)
+    value: dict[int, Any] = {}
+    operations = _operations()
+    for k in range(function.n_instructions()):
+        op, source = function.instruction_id(k), function.instruction_input(k)
+        target = function.instruction_output(k)
+        if op == ca.OP_OUTPUT:
+            rate[target[1]] = value[source[0]]
+        elif op == ca.OP_INPUT:
+            value[target[0]] = inputs[source[0]][source[1]]
+        elif op == ca.OP_CONST:
+            value[target[0]] = float(function.instruction_constant(k))
+        elif op in operations:
+            value[target[0]] = operations[op](*(value[i] for i in source))
+        else:
+            raise UnsupportedOperationError(
+                f"instruction {k} of '{function.name()}' has no translation to heyoka; add it to "
+                "pinred/laboratory/bench/peers/heyoka.py"
+            )
+    return [
+        (v, hy.expression(f) if isinstance(f, float) else f) for v, f in zip(y, rate, strict=True)
+    ]
+
+
+def taylor_integrator(
+    function: ca.Function,
+    parameters: Sequence[float],
+    y0: Array,
+    tolerance: float,
+    *,
+    unrolled: bool,
+) -> Any:
+    """Return a `heyoka.taylor_adaptive` integrator with initial time 0.
+
+    Args:
+        function: Vector field (y, parameters) → dy/dt.
+        parameters: Values of the parameters.
+        y0: Initial state, (n,).
+        tolerance: Tolerance of the Taylor method.
+        unrolled: Unroll the code instead of heyoka's compact mode. It runs up to four times as
+            fast, but takes minutes to compile for a quadruped.
+    Returns:
+        The integrator.
+    """
+    hy = import_module("heyoka")
+    system = taylor_expressions(function, parameters)
+    return hy.taylor_adaptive(system, y0.tolist(), tol=tolerance, compact_mode=not unrolled)
+
+
+@cache
+def _operations() -> dict[int, Any]:
+    """Return a mapping: CasADi operation code → function of numbers or heyoka expressions."""
+    hy = import_module("heyoka")
+
+    def function(name: str) -> Any:
+        apply = getattr(hy, name)
+        return lambda a: apply(hy.expression(a)) if isinstance(a, float) else apply(a)
+
+    return {
+        ca.OP_ADD: lambda a, b: a + b,
+        ca.OP_SUB: lambda a, b: a - b,
+        ca.OP_MUL: lambda a, b: a * b,
+        ca.OP_DIV: lambda a, b: a / b,
+        ca.OP_NEG: lambda a: -a,
+        ca.OP_SQ: lambda a: a * a,
+        ca.OP_TWICE: lambda a: 2.0 * a,
+        ca.OP_INV: lambda a: 1.0 / a,
+        ca.OP_ASSIGN: lambda a: a,
+        ca.OP_SIN: function("sin"),
+        ca.OP_COS: function("cos"),
+        ca.OP_SQRT: function("sqrt"),
+    }
+
 
 MOST_UNROLLED = 300  # largest number of instructions that heyoka unrolls within seconds
 
@@ -81,3 +192,54 @@ HEYOKA = (
     _unrolled(_long_to_unroll),
 )
 HEYOKA_SLOW = (HEYOKA[0], _unrolled(_not_installed))
+
+
+_BATCH_TOLERANCES = decades(7, 14)
+
+
+def _prepare_batch(
+    members: Sequence[Problem], tolerance: float, *, unrolled: bool
+) -> PreparedBatch:
+    hy = import_module("heyoka")
+    flows, end = compile_members(members), members[0].start.duration
+    width = hy.recommended_simd_size()
+    parameters = [hy.par[k] for k in range(flows.parameters.shape[1])]
+    expressions = taylor_expressions(reduced_graph(members[0]), parameters)
+    order = np.arange(-(-len(members) // width) * width).clip(max=len(members) - 1)
+    starts = [np.ascontiguousarray(flows.y0[order[k : k + width]].T) for k in order[::width]]
+    numbers = [
+        np.ascontiguousarray(flows.parameters[order[k : k + width]].T) for k in order[::width]
+    ]
+    ta = hy.taylor_adaptive_batch(
+        expressions, starts[0].copy(), tol=tolerance, compact_mode=not unrolled,
+        pars=numbers[0].copy(),
+    )  # fmt: skip
+
+    def run() -> Array:
+        final_states_of_groups = []
+        for y0, pars in zip(starts, numbers, strict=True):
+            ta.set_time(0.0)
+            ta.state[:], ta.pars[:] = y0, pars
+            ta.propagate_until(end)
+            if any(outcome[0].name != "time_limit" for outcome in ta.propagate_res):
+                raise IntegrationError("heyoka did not integrate all members to their end")
+            final_states_of_groups.append(ta.state.T.copy())
+        return np.concatenate(final_states_of_groups)[: len(members)]
+
+    return PreparedBatch(run, lambda y, count: final_states(members, flows, y, count))
+
+
+def _long_to_unroll_batch(problem: Problem) -> str:
+    if has_heyoka() and reduced_graph(problem).n_instructions() > MOST_UNROLLED:
+        return "heyoka-batch-unrolled is left out: it takes minutes to compile"
+    return _not_installed(problem)
+
+
+def _batch(name: str, about: str, missing: Callable[[Problem], str], **how: Any) -> BatchSolver:
+    return BatchSolver(name, about, _BATCH_TOLERANCES, partial(_prepare_batch, **how), missing)
+
+
+HEYOKA_BATCH = (
+    _batch("heyoka-batch", "Taylor in batch mode, compact", _not_installed, unrolled=False),
+    _batch("heyoka-batch-unrolled", "the same, unrolled", _long_to_unroll_batch, unrolled=True),
+)
