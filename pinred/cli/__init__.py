@@ -1,1 +1,1 @@
-"""The command line, with one file for each command.  It imports all other packages."""
+"""The command line, with one file for each group of commands.  It imports all other packages."""

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
 from ..common.names import quoted
-from .joint_plans import number_or_formula, parse_plan
 from .option_values import (
     assigned_in,
     by_joint_in,
     floats_in,
     lock_in,
+    number_or_formula,
     numbers_in,
+    parse_plan,
     shape_in,
     spring_in,
 )

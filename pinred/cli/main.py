@@ -1,7 +1,7 @@
 """The command line: the functions of the Python API under the same names.
 
-Each command is a module `<command>_command.py` with `add_arguments` and `run`.  It is imported
-when its command is used, so that `pinred --help` stays fast.
+The functions `add_<command>_arguments` and `run_<command>` are in `<group>_commands.py`.
+The module is imported when its command is used, so that `pinred --help` stays fast.
 """
 
 from __future__ import annotations
@@ -58,6 +58,14 @@ COMMANDS = {  # {command: description}
     "stress": "check the accuracy in numerically hard cases",
     "corpus": "try all robot descriptions in some folders",
     "bench": "measure speed and accuracy",
+}
+_GROUPS = {  # {module without "_commands": its commands}
+    "robot": ("inspect", "robots", "equilibria"),
+    "motion": ("compare", "simulate", "run", "sweep"),
+    "view": ("plot", "play", "feel", "field"),
+    "gait": ("phase", "gait", "reorient"),
+    "installation": ("cache", "doctor"),
+    "laboratory": ("published", "stress", "corpus", "bench"),
 }
 
 _ERRORS = "pinred-ascii"
@@ -180,9 +188,10 @@ def _parser(arguments: Sequence[str]) -> _Parser:
     for name, text in COMMANDS.items():
         sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
         if name == command:
-            module = import_module(f"..{name}_command", __name__)
-            sub.set_defaults(run=module.run)
-            module.add_arguments(sub)
+            (group,) = (group for group, names in _GROUPS.items() if name in names)
+            module = import_module(f"..{group}_commands", __name__)
+            sub.set_defaults(run=getattr(module, f"run_{name}"))
+            getattr(module, f"add_{name}_arguments")(sub)
     return parser
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from pinred.cli import doctor_command
-from pinred.cli.doctor_command import Requirement, examine, read_requirements
+from pinred.cli import installation_commands
+from pinred.cli.installation_commands import Requirement, examine, read_requirements
 from pinred.cli.main import main
 from pinred.common.version import __version__
 
@@ -24,12 +24,12 @@ def packages(monkeypatch: pytest.MonkeyPatch) -> None:
             raise PackageNotFoundError(name)
         return VERSIONS[name]
 
-    monkeypatch.setattr(doctor_command, "version", version)
+    monkeypatch.setattr(installation_commands, "version", version)
 
 
 def require(monkeypatch: pytest.MonkeyPatch, *requirements: Requirement) -> None:
     """Replace the requirements of pinred."""
-    monkeypatch.setattr(doctor_command, "read_requirements", lambda: list(requirements))
+    monkeypatch.setattr(installation_commands, "read_requirements", lambda: list(requirements))
 
 
 def test_doctor_without_fault_exits_with_zero(
@@ -76,7 +76,7 @@ def test_requirements_are_read_from_the_metadata(monkeypatch: pytest.MonkeyPatch
     class Metadata:
         requires = ("pin>=4", "six", "a.b<6,>=5; extra == 'robots'", "p[x,y]; extra == 'all'")
 
-    monkeypatch.setattr(doctor_command, "distribution", lambda _: Metadata())
+    monkeypatch.setattr(installation_commands, "distribution", lambda _: Metadata())
     assert read_requirements() == [
         ("pin", "4", ""), ("six", "", ""), ("a.b", "5", "robots"), ("p", "", "all"),
     ]  # fmt: skip
@@ -84,6 +84,6 @@ def test_requirements_are_read_from_the_metadata(monkeypatch: pytest.MonkeyPatch
     def missing(name: str) -> object:
         raise PackageNotFoundError(name)
 
-    monkeypatch.setattr(doctor_command, "distribution", missing)
+    monkeypatch.setattr(installation_commands, "distribution", missing)
     assert read_requirements() == []
     assert {finding.state for finding in examine()} <= {"ok", "missing"}

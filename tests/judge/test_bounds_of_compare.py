@@ -15,7 +15,7 @@ from tampering import offset, tampered
 from trees import random_model
 
 import pinred
-from pinred.cli.compare_command import print_comparison
+from pinred.cli.motion_commands import print_comparison
 from pinred.forces import Torque
 from pinred.judge.compare import closest_defect
 from pinred.judge.distances import FullMotion

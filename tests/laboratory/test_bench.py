@@ -89,7 +89,7 @@ def test_first_call_is_timed_in_another_process() -> None:
 
 def test_importing_bench_is_lazy() -> None:
     """Importing the package imports none of the measured modules."""
-    code = "import sys, pinred.cli.bench_command; print(*sys.modules)"
+    code = "import sys, pinred.cli.laboratory_commands; print(*sys.modules)"
     assert not {"numpy", "pinocchio", "scipy", "casadi", "heyoka"} & set(python(code).split())
 
 

@@ -16,7 +16,7 @@ import pytest
 from commands import refused
 
 import pinred
-from pinred.cli import play_command
+from pinred.cli import view_commands
 from pinred.cli.main import main
 from pinred.views.playback.server import Player, play
 from pinred.views.playback.view_options import View
@@ -221,7 +221,7 @@ def test_play_command_shows_a_robot_at_rest(
         "</worldbody></mujoco>"
     )
     shown: list[Any] = []
-    monkeypatch.setattr(play_command, "show_motion", lambda motion, *_, **__: shown.append(motion))
+    monkeypatch.setattr(view_commands, "show_motion", lambda motion, *_, **__: shown.append(motion))
     assert main(["play", robot]) == 0
     (traj,) = shown
     assert traj.t.tolist() == [0.0, 1.0]

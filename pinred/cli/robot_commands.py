@@ -1,20 +1,15 @@
-"""`pinred equilibria`: find relative equilibria, or follow branches over the momentum."""
+"""Commands about robots: inspect, robots and equilibria."""
 
 from __future__ import annotations
 
 import argparse
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..common.errors import InputError
-from .command_options import (
-    add_options,
-    add_robot,
-    option_adder,
-    options_in,
-    system_of,
-)
+from ..common.errors import InputError, PinredError
+from .command_options import add_options, add_robot, option_adder, options_in, system_of
 from .motion_files import show_motion
 from .option_values import by_joint_in, numbers_in
 from .output_files import describe_file, save_figure
@@ -23,11 +18,65 @@ if TYPE_CHECKING:
     from ..analysis.equilibria.relative_equilibrium import Equilibria
     from ..system.system import System
 
+
+def add_inspect_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add_robot(sub)
+    sub.add_argument("--at", metavar="X1,X2,…", help="shape [rad | m] (default: zero)")
+
+
+def run_inspect(arguments: argparse.Namespace) -> int:
+    """Print the inspection.  Returns 0."""
+    from ..analysis.inspection import inspect
+
+    print(inspect(system_of(arguments), numbers_in(arguments.at, "at")))
+    return 0
+
+
+def add_robots_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    sub.add_argument("--check", action="store_true", help="load each robot and print errors")
+
+
+def run_robots(arguments: argparse.Namespace) -> int:
+    """Print the names of the robots.  Returns 0."""
+    from ..system import catalogue
+
+    bundled = catalogue.bundled_robots()
+    width = max(map(len, bundled))
+    print("bundled:")
+    for name, robot in bundled.items():
+        print(f"  {name:<{width}}  {robot.group:<3}  {robot.description}")
+    examples = catalogue.example_robots()
+    if not examples:
+        print(f"more (solo12, talos, ur5, …): {catalogue.INSTALL_ROBOTS}")
+        return 0
+    print("from example-robot-data:")
+    if not arguments.check:
+        print("  " + ", ".join(examples))
+        return 0
+    from ..system.load import load
+
+    width = max(map(len, examples))
+    for name in examples:
+        try:
+            with warnings.catch_warnings(record=True) as caught:
+                system = load(name)
+            print(
+                f"  {name:<{width}}  {system.group.name:<3}  {system.m} joints, {system.mass:g} kg"
+            )
+            for warning in caught:
+                print(f"  {'':<{width}}  warning: {warning.message}")
+        except PinredError as error:
+            print(f"  {name:<{width}}  refused: {error}")
+    return 0
+
+
 _PLAYED = (".html", ".rrd", ".mp4", ".gif", ".png")  # suffixes of files with --play
 _SCENE = ("springs", "passive", "prescribed")  # options of a scene that this command accepts
 
 
-def add_arguments(sub: argparse.ArgumentParser) -> None:
+def add_equilibria_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     from ..scene.scene_options import SCENE_OPTIONS
 
@@ -52,7 +101,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add("--out FILE", text)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run_equilibria(arguments: argparse.Namespace) -> int:
     """Print equilibria or branches, and draw or play them.  Returns 0."""
     momenta = numbers_in(arguments.momentum, "momentum") or []
     if len(momenta) not in (1, 2):

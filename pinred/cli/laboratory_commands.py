@@ -1,23 +1,28 @@
-"""`pinred bench`: run a measurement, print its result, and write it as csv."""
+"""Commands of the laboratory: bench, stress, corpus and published."""
 
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..common.errors import InputError, OutputError
 from ..common.waiting import Wait
-from .command_options import option_adder
+from .command_options import add_options, option_adder
 
 if TYPE_CHECKING:
     from ..laboratory.bench.work_precision import WorkPrecision
+    from ..laboratory.corpus.corpus_entry import Entry
+    from ..laboratory.stress.check import Check
+
 
 _FIGURE_ERROR = 1e-8  # error at which the fastest method of each tool is selected for the figure
 
 
-def add_arguments(sub: argparse.ArgumentParser) -> None:
+def add_bench_arguments(sub: argparse.ArgumentParser) -> None:
     """Add a subcommand for each measurement."""
     commands = sub.add_subparsers(title="measurements", metavar="WHAT", required=True)
 
@@ -61,7 +66,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add_members(threads, 1000)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run_bench(arguments: argparse.Namespace) -> int:
     """Run the measurement, print its result, and write it.  Returns 0."""
     folder = _make_folder(arguments.out)
     if arguments.measurement == "accuracy":
@@ -191,3 +196,116 @@ def _parse_tolerances(text: str | None) -> list[float] | None:
     if not all(tolerance < 1.0 for tolerance in tolerances):
         raise InputError(f"tolerances must be below 1, got {text}")
     return tolerances
+
+
+def add_stress_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add = option_adder(sub)
+    add("--only A,B,…", "names of checks to run, with all their cases")
+    add("--full", "include long runs: 1e6 periods, 1e7 steps, more frames")
+
+
+def run_stress(arguments: argparse.Namespace) -> int:
+    """Run the checks.  Returns 0, or 1 if a check fails."""
+    from ..laboratory.stress.check import Trial
+    from ..laboratory.stress.run_stress import run_checks, select_checks, table
+
+    checks = select_checks(arguments.only.split(",") if arguments.only else ())
+    trial = Trial(effort="full" if arguments.full else "usual")
+    outcomes = []
+    for outcome in run_checks(checks, trial, on_case=_progress_of_stress):
+        outcomes.append(outcome)
+        if sys.stderr.isatty():
+            sys.stderr.write("\r\033[K")
+        verdict = "ok" if outcome.passed else "FAILED"
+        print(f"{outcome.name}: {verdict}, {outcome.wall:.1f} s", file=sys.stderr)
+        if arguments.only:
+            print(f"{outcome.name}: {outcome.what}")
+            for case in outcome.cases:
+                print(f"  {case}")
+    print(table(outcomes))
+    return 0 if all(outcome.passed for outcome in outcomes) else 1
+
+
+def _progress_of_stress(check: Check, count: int) -> None:
+    """Show on a terminal how many cases of a check have run."""
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r\033[K{check.name}: {count} cases")
+        sys.stderr.flush()
+
+
+_DURATION = 0.5  # default duration of a motion [s]
+
+
+def add_corpus_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    from ..scene.scene_options import SCENE_OPTIONS
+
+    text = "folders with URDF, MJCF and SDF files"
+    sub.add_argument("folders", nargs="*", metavar="FOLDER", help=text)
+    add = option_adder(sub)
+    add("--robots", "include the robots of `pinred robots`")
+    add_options(sub, {"duration": replace(SCENE_OPTIONS["duration"], default=f"{_DURATION:g}")})
+    sub.set_defaults(duration=_DURATION)
+    add("--patience S", "time limit for each description [s]", float, 60.0)
+    add("--out FILE", "write the table as csv")
+
+
+def run_corpus(arguments: argparse.Namespace) -> int:
+    """Process all descriptions and print a table.  Returns 1 for a failed comparison, else 0."""
+    from ..common.files import check_path
+    from ..laboratory.corpus.run_corpus import corpus
+
+    out = None if arguments.out is None else check_path(arguments.out, (".csv",))
+    result = corpus(
+        arguments.folders,
+        robots=arguments.robots,
+        duration=arguments.duration,
+        patience=arguments.patience,
+        out=out,
+        tried=_progress_of_corpus,
+    )
+    if sys.stderr.isatty():
+        sys.stderr.write("\r\033[K")
+    print(result)
+    if out is not None:
+        print(f"written to {out}")
+    return 0 if result.passed else 1
+
+
+def _progress_of_corpus(entry: Entry, number: int, of: int) -> None:
+    """Show a progress line on a terminal, and a line for each failure everywhere."""
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r\033[K{number} of {of}: {entry.file[-60:]}")
+        sys.stderr.flush()
+    if entry.outcome in ("FAILED", "error"):
+        start = "\r\033[K" if sys.stderr.isatty() else ""
+        print(f"{start}{entry.outcome}: {entry.file}: {entry.reason}", file=sys.stderr)
+
+
+def add_published_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    text = "rows to show in full, with their code (default: a table of all rows)"
+    sub.add_argument("rows", nargs="*", metavar="ROW", help=text)
+    option_adder(sub)("--list", "list the rows with their sources, and compute nothing")
+
+
+def run_published(arguments: argparse.Namespace) -> int:
+    """Compute the rows and print them.  Returns 0, or 1 if a row disagrees."""
+    from ..laboratory.published import published_rows
+
+    rows = published_rows.select_rows(arguments.rows)
+    if arguments.list:
+        for row in rows:
+            print(f"{row.name:<22} {row.quantity}\n{'':<22} {row.source}")
+        return 0
+    results = []
+    if not arguments.rows:
+        print(published_rows.heading())
+    for row in rows:
+        with Wait(f"computes the row {row.name}"):
+            results.append(row.run())
+        print((published_rows.report if arguments.rows else published_rows.line)(results[-1]))
+        sys.stdout.flush()
+    print(published_rows.summary(results))
+    return 0 if all(result.passed for result in results) else 1
