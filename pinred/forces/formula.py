@@ -15,8 +15,8 @@ from ..common.parameter import Parameter, parameter_of, value_in
 from ..system.system import System
 from .columns import seen_of_base, symbols_of, terms_of
 from .force import SymbolFunction, Symbols, Terms, called, scalar
-from .sign_changes import SignChanges
 from .signals.expressions import parse
+from .switch_times import SignChanges
 
 NAMES = ("t", "x", "xdot", "mu", "pose", "xi", "J")
 

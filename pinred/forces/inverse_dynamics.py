@@ -1,12 +1,17 @@
-"""Inverse dynamics of the reduced system as CasADi expressions: torques for given accelerations."""
+"""Inverse dynamics as CasADi expressions: torques for given accelerations, also with loops."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import casadi as ca
+import numpy as np
 
+from ..common.errors import InputError
+from ..common.names import listed
 from ..reduction.tree.all_joints import joint_values, rate_map, shape_gradient
+from ..reduction.tree.loop_constraints import jacobian_function
 from ..reduction.tree.momenta import bracket, centre_of_mass, momenta
 from ..reduction.tree.scalars import as_column, as_scalars, dot, solve_ldl
 from ..system.system import System
@@ -51,3 +56,37 @@ def required_torque(system: System, robot: RobotSymbols, s: Symbols, acceleratio
         work = robot.mass * dot(gravity, com)
         torque -= shape_gradient(system, ca.SX(work), s.x)
     return torque
+
+
+def loop_motion(system: System, s: Symbols, independent: Sequence[int]) -> tuple[ca.SX, ca.SX]:
+    """Return G and d with ẋ = G u̇ and ẍ = G ü + d for the rates u̇ of independent joints.
+
+    J ẋ = 0 determines the rates of the dependent joints D, −J_D⁻¹ J_I u̇.  J ẍ + J̇ ẋ = 0
+    determines their drift, d_D = −J_D⁻¹ J̇ ẋ.
+
+    Args:
+        system: The robot, with loops.
+        s: Variables of the forces.
+        independent: Indices of the independent rates, as many as `shape_dim`.
+    Returns:
+        G, (m, k), and d, (m,).
+    Raises:
+        InputError: The number of independent joints is wrong.
+    """
+    assert system.closure is not None
+    if len(independent) != system.shape_dim:
+        names = listed([loop.name for loop in system.loops], 6)
+        raise InputError(
+            f"computed torque: expected references and plans for {system.shape_dim} joints, which "
+            f"determine the others by the loops {names}, got {len(independent)}"
+        )
+    dependent = np.setdiff1d(np.arange(system.m), independent).tolist()
+    rate = ca.SX.sym("rate", system.m)
+    J = jacobian_function(system)(s.x)
+    turning = ca.jtimes(J @ rate, s.x, rate_map(system, s.x) @ s.xdot)
+    turning = ca.substitute(turning, rate, s.xdot)
+    G, drift = ca.SX(system.m, len(independent)), ca.SX(system.m, 1)
+    G[list(independent), :] = ca.SX.eye(len(independent))
+    solved = ca.solve(J[:, dependent], ca.horzcat(J[:, list(independent)], turning))
+    G[dependent, :], drift[dependent] = -solved[:, :-1], -solved[:, -1]
+    return G, drift

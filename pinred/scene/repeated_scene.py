@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..common.memo import recent
-from ..forces.force_keys import NotKeyedError
+from ..forces.force_model_cache import NotKeyedError
 from ..system.system import System
 from .option_checks import list_forces
 from .scene import Scene

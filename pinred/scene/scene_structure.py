@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..forces.force import Force
-from ..forces.force_keys import PLAIN, NotKeyedError, key_of, key_of_force
+from ..forces.force_model_cache import PLAIN, NotKeyedError, key_of, key_of_force
 from ..integrators.methods import Method
 from .scene_options import SCENE_OPTIONS, SceneFields
 
