@@ -13,7 +13,7 @@ from loop_robots import five_bar, gripper, random_loops
 import pinred
 from pinred.reduction.tree.all_joints import joint_rates, joint_values, on_shape
 from pinred.reduction.tree.body_frames import bodies_of
-from pinred.reduction.tree.loop_rows import LoopRows, PolynomialRow
+from pinred.reduction.tree.loop_constraints import LoopRows, PolynomialRow
 from pinred.system.loops.loop import JointPolynomial, Loop
 from pinred.system.loops.looped_system import loop_jacobian, loop_jacobian_rate, loop_kinematics
 

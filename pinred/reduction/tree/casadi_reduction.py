@@ -45,7 +45,7 @@ def casadi_reduction(system: System, x: ca.SX | None = None) -> CasadiReduction:
 
 
 def _curvature(system: System, x: ca.SX, A: ca.SX) -> ca.SX:
-    """Return the curvature; see reduction/curvature.py."""
+    """Return the curvature; see reduction/pointwise_reduction.py."""
     r, m = system.r, system.m
     if not m:
         return ca.SX(r, 0)

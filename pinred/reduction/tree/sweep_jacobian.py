@@ -24,10 +24,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from .articulated_body import Articulated, Step, angular_row, linear_row
-from .articulated_sweep import Swept
+from .articulated_sweep import Eliminated, Swept
 from .body_frames import Body
 from .identical_branches import Lanes, Link
-from .joint_elimination import Eliminated
 from .scalars import Mat, Scalar, Vec, add, cross, dot, mul, plus, solve_lower, sub, total
 
 
