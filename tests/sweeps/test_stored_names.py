@@ -1,0 +1,72 @@
+"""Names in stored scenes: the pickles of stores name classes by their modules, which must not move.
+
+If a class has to move, read its former name in `pinred.sweeps.stored_job`.
+"""
+
+from __future__ import annotations
+
+import pickle
+from importlib import import_module
+from io import BytesIO
+from typing import Any
+
+import pytest
+
+import pinred
+
+STORED = {
+    "pinred.common.default_marker": "Default",
+    "pinred.common.parameter": "Parameter VectorParameter",
+    "pinred.forces.ball_control": "BallLimit BallPD",
+    "pinred.forces.controller": "Controller",
+    "pinred.forces.force": "Limit",
+    "pinred.forces.kinds": "PotentialEnergy Torque",
+    "pinred.forces.signals.attitude_signal": "Attitude",
+    "pinred.forces.signals.formulas": "Constant Expression Fourier",
+    "pinred.forces.signals.tabulated": "Hold Linear Spline",
+    "pinred.forces.tracking": "ComputedTorque PD",
+    "pinred.forces.wrench": "Wrench",
+    "pinred.integrators.methods.explicit_methods": "DOP853 RKMK4 Tsit5",
+    "pinred.integrators.methods.implicit_methods": "AdaptiveGauss Gauss Radau Variational",
+    "pinred.lie.planar_groups": "_R _SE2 _SO2",
+    "pinred.lie.r_se2": "_RxSE2",
+    "pinred.lie.spatial_groups": "_SE3 _SO3",
+    "pinred.scene.event": "Event",
+    "pinred.scene.scene": "Scene",
+    "pinred.sweeps.distributions": "Grid LogUniform Normal Uniform Values",
+    "pinred.sweeps.sweep_job": "SweepJob",
+    "pinred.system.ball_forces": "BallSpring",
+    "pinred.system.coordinates": "CoordinateMap InitialState",
+    "pinred.system.elementary_joints": "_named",
+    "pinred.system.hinge_triples": "HingeTriple",
+    "pinred.system.loops.loop": "Loop",
+    "pinred.system.loops.looped_system": "Closure",
+    "pinred.system.passive": "Damper Friction Spring",
+    "pinred.system.robot_file_contents": "Contents LeftOut Origin",
+    "pinred.system.shape_space": "PlacedJoint ShapeSpace",
+    "pinred.system.system": "System",
+}
+
+
+@pytest.mark.parametrize("module", STORED)
+def test_stored_class_is_found_under_its_name(module: str) -> None:
+    """A pickle of an earlier version finds the class, and a new pickle has the same name."""
+    for name in STORED[module].split():
+        kind = getattr(import_module(module), name)
+        assert (kind.__module__, kind.__qualname__) == (module, name)
+
+
+@pytest.mark.parametrize("robot", ["falling_cat", "falling_cat_ball", "elroys_beanie", "four_bar"])
+def test_stored_robot_names_only_listed_classes(robot: str) -> None:
+    """The list above is complete for robots of all kinds."""
+    named = set()
+
+    class Reader(pickle.Unpickler):
+        def find_class(self, module: str, name: str) -> Any:
+            named.add((module, name))
+            return super().find_class(module, name)
+
+    Reader(BytesIO(pickle.dumps(pinred.load(robot)))).load()
+    own = {(module, name) for module, name in named if module.startswith("pinred.")}
+    assert own <= {(module, name) for module in STORED for name in STORED[module].split()}
+    assert ("pinred.system.system", "System") in own
