@@ -13,7 +13,6 @@ from itertools import count
 from threading import Event, Lock, Thread, current_thread
 
 from .compile_notice import notice_of_compiling
-from .processors import available_processors
 
 Part = Callable[[], bytes]  # compiles one part
 
@@ -142,3 +141,9 @@ def finish() -> None:
 
 # A forked process would have the locks that another thread holds, but not the thread.
 os.register_at_fork(before=finish)
+
+
+def available_processors() -> int:
+    """Return the number of processors that this process may use, at least 1."""
+    affinity = getattr(os, "sched_getaffinity", None)  # macOS has none
+    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1

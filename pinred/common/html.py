@@ -1,13 +1,15 @@
 """HTML elements for notebooks: escaped, without scripts, for light and dark themes.
 
 Text keeps the colour of the theme; verdicts use two colours of medium brightness, and also state
-the result as text.  Long tables are collapsed.
+the result as text.  Long tables are collapsed. A Summary is a result that is shown as a title with
+rows, in a terminal and in notebooks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from html import escape
+from typing import TypeAlias
 
 import numpy as np
 
@@ -121,3 +123,31 @@ def _cell(value: str | float) -> str:
 
 def _html(text: str) -> str:
     return text if isinstance(text, Raw) else escape(text)
+
+
+Rows: TypeAlias = Sequence[tuple[str, str]]
+
+_WIDTH = 18  # least width of the labels
+
+
+class Summary:
+    """Base class of results that describe themselves by rows of a label and a text."""
+
+    def title(self) -> str:
+        """Return the first line."""
+        raise NotImplementedError
+
+    def rows(self) -> Rows:
+        """Return the rows: labels, and values as text."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        rows = self.rows()
+        width = max([_WIDTH, *(len(label) for label, _ in rows)])
+        return "\n".join([self.title(), *(f"  {label:<{width}} {text}" for label, text in rows)])
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def _repr_html_(self) -> str:
+        return card(type(self).__name__, self.title(), table("", ["", ""], self.rows()))

@@ -14,13 +14,15 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, copied, positive, read_only, vector, vector_or_zero, whole
 from ..common.default_marker import is_given
 from ..common.errors import InputError
+from ..common.html import card, line, numbers, table
 from ..common.memo import recent
 from ..common.names import brief, one_of
 from ..common.parameter import Parameter, by_name
+from ..forces.controller import Controller
 from ..forces.force import Force
 from ..forces.signals import Attitude, Constant
 from ..forces.signals.attitude_signal import parse_attitude
-from ..integrators.methods import Method
+from ..integrators.methods import DOP853_LEAST, AdaptiveGauss, ErrorControl, Method
 from ..system.coordinates import InitialState
 from ..system.model_parameters import ModelParameters
 from ..system.robot_file_contents import Keyframe
@@ -57,11 +59,55 @@ from .scene_options import (
 from .scene_options import ENGINES as ENGINES
 from .scene_options import Engine as Engine
 from .scene_structure import MOST_STRUCTURES, Shared, structure_key
-from .tolerances import MOMENTUM_MARGIN, TIGHTEST, check_tolerances, with_tolerances
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
     from ..forces.formula import Watched
+
+
+TIGHTEST = 1e-14  # smallest relative tolerance; below it, round-off determines the step size
+# The integrated quantities are momenta, but users need accurate rates.  If a light joint is
+# attached to heavy links, a relative error of a momentum causes a larger relative error of the
+# light joint's rate.
+MOMENTUM_MARGIN = 10.0
+
+
+def check_tolerances(method: Method, rtol: float, atol: float) -> None:
+    """Reject tolerances that both the scene and its method state.
+
+    Args:
+        method: Integrator of the scene.
+        rtol: Relative tolerance of the scene.
+        atol: Absolute tolerance of the scene.
+    Raises:
+        InputError: the scene and the method both have tolerances.
+    """
+    options = [name for name, value in (("rtol", rtol), ("atol", atol)) if is_given(value)]
+    if options and _has_tolerances(method):
+        raise InputError(
+            f"{options[0]} conflicts with the tolerances of the method {method}. Give tolerances "
+            f"either to the scene or to {method.name}."
+        )
+
+
+def with_tolerances(method: Method, rtol: float, atol: float) -> Method:
+    """Return a method with the tolerances of its scene.
+
+    Args:
+        method: Integrator.  It stays unchanged if it has equal steps or its own tolerances.
+        rtol: Relative tolerance; increased to the smallest tolerance that the method can satisfy.
+        atol: Absolute tolerance.
+    Returns:
+        The method with tolerances.
+    """
+    if not isinstance(method, ErrorControl) or _has_tolerances(method):
+        return method
+    least = 0.0 if isinstance(method, AdaptiveGauss) else DOP853_LEAST
+    return replace(method, rtol=max(rtol, least), atol=atol)
+
+
+def _has_tolerances(method: Method) -> bool:
+    return isinstance(method, ErrorControl) and (is_given(method.rtol) or is_given(method.atol))
 
 
 @checks_arguments
@@ -169,7 +215,6 @@ class Scene(SceneFields):
         return _scene_of, (options,)
 
     def _repr_html_(self) -> str:
-        from .scene_card import scene_card
 
         return scene_card(self)
 
@@ -446,3 +491,40 @@ Scene.__doc__ = (Scene.__doc__ or "").replace(
 def _scene_of(options: dict[str, Any]) -> Scene:
     """Rebuild a pickled scene."""
     return Scene(**options)
+
+
+def _controls(controls: Any) -> list[tuple[str, str]]:
+    """Return a row for each control, or for the controller of all actuators."""
+    if isinstance(controls, Controller):
+        return [("controls", repr(controls.name))]
+    return [(f"control {name}", repr(control)) for name, control in controls.items()]
+
+
+def scene_card(scene: Any) -> str:
+    """Return the initial state, the forces and the settings of a Scene as HTML."""
+    system, start = scene.system, scene.start
+    rows = [
+        (joint.name, numbers(start.x[joint.x]), numbers(start.xdot[joint.v]))
+        if joint.kind.is_ball
+        else (joint.name, float(start.x[joint.x][0]), float(start.xdot[joint.v][0]))
+        for joint in system.space.joints
+    ]
+    forces: tuple[Force, ...] = vars(scene)["forces"]
+    acting = [
+        *((f"spring {name}", str(spring)) for name, spring in scene.springs.items()),
+        *((force.label, repr(force)) for force in forces),
+        *((f"{force.label}, of the file", repr(force)) for force in scene.own_forces),
+        *_controls(scene.controls),
+        *((f"prescribed {name}", repr(plan)) for name, plan in scene.prescribed.items()),
+        *([("hold", scene.hold)] if scene.hold else []),
+    ]
+    method = scene.integrator or scene.method
+    return card(
+        f"Scene of {system.name}",
+        f"{scene.end:g} s, {len(scene.report_times)} times, rtol {scene.rtol:g}, "
+        f"atol {scene.atol:g}, {method}, outputs '{scene.outputs}'",
+        table("start", ["joint", "x", "rate"], rows),
+        line(f"twist of the base: {numbers(start.xi)}"),
+        line(f"pose of the base: {numbers(start.pose)}"),
+        table("acting", ["", ""], acting),
+    )

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,6 @@ from ..scene.scene import Scene
 from ..scene.sweep_options import BLOCK, SAMPLERS, Sampler
 from ..simulation.members.member_groups import members_plan
 from .distributions import Distribution, Listed, parse_distribution
-from .run_blocks import PointsDone, compute_locally
 from .samplers import MOST_SOBOL, PointSequence, grid_size
 from .sweep_job import FAILED, REJECTED, Block, SweepJob
 from .sweep_outputs import Outputs, parse_outputs
@@ -33,6 +33,66 @@ from .varied_numbers import VariedScene
 
 if TYPE_CHECKING:
     from .sweep_result import SweepResult
+
+
+Report = Callable[[float], None]
+
+
+def compute_locally(
+    job: SweepJob, blocks: Iterable[int], threads: int | None, report: Callable[[int, float], None]
+) -> Iterator[Block]:
+    """Compute blocks one after another, each on threads and in SIMD lanes.
+
+    Args:
+        job: The sweep.
+        blocks: Indices of the blocks.
+        threads: Number of threads; as many as processors if None.
+        report: Called with the index of a block and its completed fraction.
+    Yields:
+        The results.
+    """
+    for index in blocks:
+        yield job.compute(index, threads, partial(report, index))
+
+
+class PointsDone:
+    """The completed fraction of the points of a sweep.
+
+    Attributes:
+        start: The fraction that was complete at the start.
+    """
+
+    def __init__(self, job: SweepJob, pending: Sequence[int], report: Report | None) -> None:
+        """Start from the blocks that are complete.
+
+        Args:
+            job: The sweep.
+            pending: Indices of the other blocks.
+            report: Called with the completed fraction, or None.
+        """
+        self._job, self._report = job, report
+        self._done = job.points - sum(self._size(index) for index in pending)
+        self.start = self._done / job.points
+
+    @property
+    def count(self) -> int:
+        """Number of points whose blocks are stored."""
+        return self._done
+
+    def _size(self, index: int) -> int:
+        first, last = self._job.span(index)
+        return last - first
+
+    def inside(self, index: int, part: float) -> None:
+        """Report the completed fraction of a block that is not yet stored."""
+        if self._report is not None:
+            self._report((self._done + part * self._size(index)) / self._job.points)
+
+    def finished(self, index: int) -> None:
+        """Report that a block is stored."""
+        self._done += self._size(index)
+        self.inside(index, 0.0)
+
 
 _NO_XARRAY = f"sweeps need the package xarray: {install_command('sweep')}"
 

@@ -18,7 +18,7 @@ from pinred.common.compile_notice import notice_of_compiling
 from pinred.common.progress import ProgressBar, shown
 from pinred.common.waiting import Wait
 from pinred.integrators.stepping import numba_functions, numba_notice
-from pinred.sweeps.run_blocks import PointsDone
+from pinred.sweeps.sweep import PointsDone
 
 ROOT = Path(__file__).parents[2]
 

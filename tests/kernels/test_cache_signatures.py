@@ -14,9 +14,8 @@ import pytest
 
 import pinred
 from pinred.common import signing_key as signing_keys
-from pinred.common.cache_entry import _HEADER, _MAGIC, _SIGNATURE, _VERSION
 from pinred.common.errors import CacheWarning
-from pinred.common.object_cache import ObjectCache, cache_key
+from pinred.common.object_cache import _HEADER, _MAGIC, _SIGNATURE, _VERSION, ObjectCache, cache_key
 from pinred.kernels.build import build_kernel
 from pinred.simulation.plan import plan_of
 

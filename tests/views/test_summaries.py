@@ -7,7 +7,7 @@ import pytest
 from test_notebook_cards import StrictPage
 
 import pinred
-from pinred.common.summary import Summary
+from pinred.common.html import Summary
 
 RODS = pinred.load("three_rods")
 GAIT = pinred.Gait.fourier([0.5, 0.5], [[1.0, 0.0]], [[0.0, 1.0]])

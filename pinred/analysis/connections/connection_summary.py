@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...common.summary import Rows, Summary
+from ...common.html import Rows, Summary
 from ...kernels.connection.connection_form import ConnectionForm
 from .rotation_chart import RotationChart
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
-from ...common.summary import Rows, Summary
+from ...common.html import Rows, Summary
 from ...common.waiting import Wait
 from ..connections.connection_source import ConnectionSource, connection_of
 from ..gaits.gait import Gait

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, positive, vector, vector_or_zero, whole
 from ...common.errors import InputError, IntegrationError, NoConvergence
-from ...common.summary import Rows, Summary
+from ...common.html import Rows, Summary
 from ...common.waiting import Wait
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group, PoseError

@@ -14,7 +14,7 @@ from ...analysis.gaits.gait import Gait
 from ...analysis.phases.phase import Phase
 from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
-from ...common.summary import Rows, Summary
+from ...common.html import Rows, Summary
 from ...judge.compare import compare
 from ...judge.verdict import Report
 from ...lie.group import PoseError
