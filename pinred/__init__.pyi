@@ -6,7 +6,6 @@ from . import lie as lie
 from . import plots as plots
 from . import poisson as poisson
 from . import signals as signals
-from .analysis.arm_workspace import Workspace as Workspace
 from .analysis.branches.follow import Branches as Branches
 from .analysis.branches.follow import BranchPoint as BranchPoint
 from .analysis.branches.follow import branches as branches
@@ -29,6 +28,7 @@ from .analysis.equilibria.relative_equilibrium import Equilibria as Equilibria
 from .analysis.equilibria.relative_equilibrium import RelativeEquilibrium as RelativeEquilibrium
 from .analysis.floating_arm import FloatingArm as FloatingArm
 from .analysis.floating_arm import Singularity as Singularity
+from .analysis.floating_arm import Workspace as Workspace
 from .analysis.frames.corrected_integral import CorrectedIntegral as CorrectedIntegral
 from .analysis.frames.corrected_integral import corrected_integral as corrected_integral
 from .analysis.frames.flatness import Flatness as Flatness
@@ -44,10 +44,10 @@ from .analysis.loop_reduction import LoopReduction as LoopReduction
 from .analysis.phases.path_basis import PhaseSlopes as PhaseSlopes
 from .analysis.phases.path_basis import phase_slopes as phase_slopes
 from .analysis.phases.phase import Phase as Phase
+from .analysis.phases.phase import Screw as Screw
 from .analysis.phases.phase import phase as phase
 from .analysis.phases.rigid_body import RigidBodyPhase as RigidBodyPhase
 from .analysis.phases.rigid_body import rigid_body_phase as rigid_body_phase
-from .analysis.phases.screw import Screw as Screw
 from .analysis.reaction_free_path import ReactionFreePath as ReactionFreePath
 from .analysis.stability.along_motions import FloquetMultipliers as FloquetMultipliers
 from .analysis.stability.along_motions import LyapunovSpectrum as LyapunovSpectrum

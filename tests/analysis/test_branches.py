@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 import pinred
-from pinred.analysis.branches import bifurcations as found_by
+from pinred.analysis.branches import follow as found_by
 from pinred.analysis.branches.curve import Curve, CurvePoint
 from pinred.analysis.equilibria.amended_energy import AmendedEnergy
 from pinred.analysis.equilibria.equilibrium_problem import problem_of

@@ -18,7 +18,7 @@ from textbook import DELTA, I1, I2, J2, M2, D, M
 from trees import random_model
 
 import pinred
-from pinred.analysis.phases.screw import screw_of
+from pinred.analysis.phases.phase import screw_of
 from pinred.common.arrays import Array
 from pinred.lie.groups import group_named
 from pinred.system.robot_file_contents import Contents, Coupling

@@ -1,20 +1,102 @@
-"""Values of a connection at one shape and at many shapes."""
+"""Values of a connection at one shape and at many shapes, as text, and as a notebook card.
+
+Shapes at which a connection is not defined are rejected.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, read_only, vector, vectors
-from ...common.errors import InputError
+from ...common.errors import InputError, SingularInertiaError
+from ...common.html import Rows, Summary
 from ...kernels.connection.connection_code import ConnectionCode, Curvatures
+from ...kernels.connection.connection_form import ConnectionForm
 from ...lie.group import Group
 from ...system.shape_space import ShapeSpace
-from .connection_summary import ConnectionSummary
-from .singular_shapes import refuse_singular, require_metric
+from .rotation_chart import RotationChart
+
+# Least health of P_b, by whether the form is symmetric.
+_LEAST_HEALTH = {True: 16.0 * np.finfo(float).eps, False: 1e-9}
+
+
+def refuse_singular(form: ConnectionForm, x: Array, health: Array) -> None:
+    """Raise an error at shapes where A is not defined.
+
+    Args:
+        form: Form of the connection.
+        x: Shapes, (N, nx) [rad | m].
+        health: Health of P_b at these shapes, (N,).
+    Raises:
+        SingularInertiaError: P_b is singular; the message names the first shape.
+    """
+    size = health if form.symmetric else np.abs(health)
+    singular = ~(size > _LEAST_HEALTH[form.symmetric])
+    if singular.any():
+        shape = x[int(np.argmax(singular))]
+        raise SingularInertiaError(
+            f"A is not defined at the shape {shape}: {form.what} do not determine the "
+            "motion of the body there. Keep the joints away from this shape."
+        )
+
+
+def refuse_crossing(form: ConnectionForm, health: Array) -> None:
+    """Reject paths across singular shapes, where a non-symmetric form's health changes sign.
+
+    Args:
+        form: Form of the connection.
+        health: Health of P_b along the path, (N,).
+    Raises:
+        SingularInertiaError: P_b is singular between two shapes.
+    """
+    if not form.symmetric and health.min() < 0.0 < health.max():
+        raise SingularInertiaError(
+            f"the gait crosses shapes at which {form.what} do not determine the motion "
+            "of the body. Choose a gait that stays on one side of these shapes."
+        )
+
+
+def require_metric(form: ConnectionForm, M: Array | None) -> Array:
+    """Return the metric of a form.  Raises InputError if the form defines none."""
+    if M is None:
+        raise InputError(f"{form.what} define no metric on shape space")
+    return M
+
+
+_NAMES = 6  # largest number of joints that are named
+
+
+class ConnectionSummary(Summary):
+    """Base class of Connection that describes it by its form; nothing is compiled for this."""
+
+    form: ConnectionForm
+    turned_by_gravity: str
+    chart: RotationChart | None
+
+    def title(self) -> str:
+        """Return the first line of the text."""
+        return f"Connection({self.form.what}, {self.form.group.name}, m={self.form.m})"
+
+    def rows(self) -> Rows:
+        """Return the rows of the text: spaces, metric, and whether gravity changes momenta."""
+        form = self.form
+        names = [*form.joints[:_NAMES], *(["…"] if form.m > _NAMES else [])]
+        joints = f": {', '.join(names)}" if names else ""
+        rows = [
+            ("group", f"{form.group.name}, r = {form.r}"),
+            ("shape space", f"m = {form.m}{joints}"),
+            ("metric", "on shape space" if form.symmetric else "none"),
+        ]
+        if self.turned_by_gravity:
+            rows.append(("momenta", f"not conserved: {self.turned_by_gravity}"))
+        if self.chart is not None:
+            rows.append(("coordinates", self.chart.words))
+        return rows
 
 
 @checks_arguments

@@ -13,9 +13,9 @@ from ...common.arrays import Array, FrozenArrays, positive, vector, vector_or_ze
 from ...common.errors import IntegrationError, SingularInertiaError
 from ...kernels.evaluate import evaluate
 from ..gaits.gait import Gait
+from .connection_values import refuse_singular
 from .mixed import MixedConnection, shape_of
 from .rotation_chart import RotationChart
-from .singular_shapes import refuse_singular
 
 _RTOL, _ATOL = 5e-14, 1e-15
 _LEAST_HEALTH = 1e-3  # least admissible health of P_b; ±1 is best

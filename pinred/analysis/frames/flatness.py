@@ -21,9 +21,8 @@ from ..connections.connection import Connection
 from ..connections.connection_source import ConnectionSource, connection_of
 from ..gaits.arcs import line
 from ..gaits.gait import Gait
-from ..phases.closure import is_closed
 from ..phases.lift import STAGES, PathSegments, in_space, lift, nodes
-from ..phases.phase import phase
+from ..phases.phase import is_closed, phase
 
 _FLAT = 1e-10  # largest curvature of a flat connection, relative to its terms
 _MOST_SHAPES = 10**6

@@ -4,6 +4,10 @@ The body twists along the gait are evaluated or interpolated at Gauss nodes. On 
 Fourier series, everything is smooth and periodic. The trigonometric interpolant of N samples then
 converges spectrally, and is evaluated at the Gauss nodes of N/2 segments. On any other gait, the
 connection is evaluated at the Gauss nodes of its arcs.
+
+The screw of a pose (Chasles): the steady drift or orbit that produces the pose.
+
+Closure of gaits that turn joints: a complete turn must restore the robot.
 """
 
 from __future__ import annotations
@@ -25,12 +29,125 @@ from ...integrators.gauss.tables import tables
 from ...lie.group import Group, PoseError
 from ..connections.connection import Connection
 from ..connections.connection_source import ConnectionSource, connection_of
+from ..connections.connection_values import refuse_crossing, refuse_singular
 from ..connections.dead_points import along_joints
-from ..connections.singular_shapes import refuse_crossing, refuse_singular
+from ..connections.gaits_of_all_joints import AllJointsCode
+from ..connections.loop_connection import LoopConnectionCode
+from ..gaits.arcs import TAU
 from ..gaits.gait import Gait
-from .closure import refuse_open, turns_ball
 from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, lift, nodes
-from .screw import Screw, screw_of
+
+_STRAIGHT = 1e-12  # rotation below which a screw counts as a translation [rad]
+
+
+@checks_arguments
+@dataclass(frozen=True)
+class Screw(FrozenArrays):
+    """A rotation about an axis with a translation along it, in the initial frame of the base.
+
+    Attributes:
+        axis: Direction of the axis, (3,); without rotation, the direction of the translation.
+        point: Point of the axis nearest to the origin, (3,) [m]; NaN without rotation.
+        angle: Rotation [rad].
+        slide: Translation along the axis [m].
+    """
+
+    axis: Array
+    point: Array
+    angle: float
+    slide: float
+
+    def __str__(self) -> str:
+        axis = f"({', '.join(f'{value:.6g}' for value in self.axis)})"
+        if self.angle:
+            slide = f", slide {self.slide:.12g} m" if self.slide else ""
+            return f"{self.angle:.12g} rad about {axis}{slide}"
+        return f"none, but a slide of {self.slide:.12g} m along {axis}" if self.slide else "none"
+
+    @property
+    def radius(self) -> float:
+        """Radius of the circle or helix of the base origin [m]; ∞ for a straight line."""
+        return float(np.linalg.norm(self.point)) if np.isfinite(self.point).all() else np.inf
+
+
+def screw_of(group: Group, pose: Array) -> Screw:
+    """Compute the screw of a pose. A planar angle keeps its complete rotations."""
+    log = group.log(pose)
+    angles = log.copy()
+    xi = in_space(group, log)
+    v, w = xi[:3], xi[3:]
+    angle = float(np.linalg.norm(w))
+    if group.turns == 1:  # unlike its logarithm, the pose keeps complete rotations
+        angles = np.array(pose[-1:])
+    if angle < _STRAIGHT:
+        slide = float(np.linalg.norm(v))
+        axis = v / slide if slide > 0.0 else np.array([0.0, 0.0, 1.0])
+        return Screw(axis, np.full(3, np.nan), 0.0, slide)
+    axis = w / angle
+    total = float(angles[0] * axis[2]) if group.turns == 1 else angle
+    return Screw(axis, np.cross(w, v) / angle**2, total, float(v @ axis))
+
+
+_REPEATS = 1e-9  # largest change of body twists over a complete turn, relative to the twists
+_SAMPLES = 16  # number of shapes at which the turned robot is compared
+
+
+def refuse_open(connection: Connection, gait: Gait) -> None:
+    """Reject a gait that turns a joint whose complete turn does not restore the robot.
+
+    Args:
+        connection: Connection, in rotation vectors if there are ball joints.
+        gait: Path in shape space that may turn joints.
+    Raises:
+        InputError: The path is open; the message names the joint.
+    """
+    if len(gait.turns) == connection.m and (joint := _open_joint(connection, gait)):
+        raise InputError(
+            "gait: only a joint whose complete turn restores the robot may turn, "
+            f"got turns {gait.turns}, with a turn of '{joint}'"
+        )
+
+
+def is_closed(connection: Connection, gait: Gait) -> bool:
+    """Return whether a connection repeats itself after the turns of a gait.
+
+    Args:
+        connection: Connection with as many joints as the gait.
+        gait: Path in shape space that may turn joints.
+    Returns:
+        Whether all joints that turn are revolute, and a complete turn of each restores the
+        connection; or are balls whose attitudes at both ends are equal.
+    """
+    return not _open_joint(connection.in_chart(), gait)
+
+
+def turns_ball(connection: Connection, gait: Gait) -> bool:
+    """Return whether a gait turns a ball, so that its rotation vector does not return."""
+    chart = connection.chart
+    return chart is not None and bool(gait.rise[chart.space.ball_v].any())
+
+
+def _open_joint(connection: Connection, gait: Gait) -> str:
+    """Return a joint whose complete turn does not restore the connection, or ""."""
+    rise, chart = gait.rise, connection.chart
+    if chart is not None:
+        start, _ = gait.at(0.0)
+        if ball := chart.open_ball(start, start + rise):
+            return ball
+        rise[chart.space.ball_v] = 0.0
+    x, xdot = gait.samples(_SAMPLES)
+    xi = connection.code.velocities(x, xdot).xi
+    size = float(np.abs(xi).max(initial=0.0))
+    is_closed_loop = isinstance(connection.code, AllJointsCode | LoopConnectionCode)
+    for k in np.flatnonzero(rise).tolist():
+        # Joints of a closed loop may turn together although none of them can turn alone.
+        alone = TAU * np.eye(connection.m)[k]
+        turned = x + (rise if is_closed_loop else alone)
+        change = float(np.abs(connection.code.velocities(turned, xdot).xi - xi).max(initial=0.0))
+        if connection.form.units[k] != "rad" or not change <= _REPEATS * size:
+            return connection.joints[k]
+    return ""
+
 
 _FLOOR = 64.0 * np.finfo(float).eps  # round-off, relative to the path length of the base
 _LEAST = 1e-14  # smallest tolerance
