@@ -22,7 +22,7 @@ from ..forces.controller import Controller
 from ..forces.force import Force
 from ..forces.signals import Attitude, Signal
 from ..integrators.methods import Method
-from ..integrators.methods.default_tolerances import ATOL, RTOL
+from ..integrators.methods.method import ATOL, RTOL
 from ..system.system import System
 from .event import EVENT_TABLE, Event
 from .option_checks import EVEN_TIMES

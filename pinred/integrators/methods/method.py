@@ -11,11 +11,15 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import positive
 from ...common.default_marker import Default
 from ...common.errors import InputError
-from .default_tolerances import ATOL, RTOL
 
 if TYPE_CHECKING:
     from ..explicit.tableau import Tableau
     from ..stepping.step_loop import Stepper
+
+
+RTOL = Default(1e-10)  # relative tolerance
+ATOL = Default(1e-12)  # absolute tolerance, in the units of each entry of the state
+
 
 # Smallest useful relative tolerance, limited by round-off; SciPy has the same limit.
 DOP853_LEAST = 2.3e-14

@@ -22,7 +22,7 @@ from ...common.errors import PinredError
 from ...common.progress import Progress, one_by_one
 from ...forces.force import Force
 from ...forces.kinds import PD, Damper, Spring
-from ...integrators.methods.default_tolerances import ATOL, RTOL
+from ...integrators.methods.method import ATOL, RTOL
 from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.compiled.integrator import integrator

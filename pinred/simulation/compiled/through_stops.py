@@ -12,7 +12,7 @@ import numpy as np
 from ...common.arrays import Array, read_only
 from ...common.errors import IntegrationError
 from ...forces.switch_times import time_within
-from ...integrators.integrate_parts import Parts, integrate_parts
+from ...integrators.integrate import Parts, integrate_parts
 from ...integrators.methods import ErrorControl
 from ..plan import Plan
 from ..reduced_flow import Segment, Segments
