@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 from pinred.common.arrays import Array, read_only
 from pinred.common.errors import InputError
 from pinred.common.machine_code import NativeCode, load_object
-from pinred.integrators.integrate import Integration, integrate
+from pinred.integrators.integrate import Integration, integrate, integrate_parts
 from pinred.integrators.integrate_many import integrate_many
-from pinred.integrators.integrate_parts import integrate_parts
 from pinred.integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from pinred.integrators.methods import (
     DOP853,
