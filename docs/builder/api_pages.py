@@ -65,7 +65,7 @@ TASKS = (
         "analysis.branches", "analysis.equilibria", "analysis.stability",
     )),
     Task("space_arms", "Space arms", (
-        "analysis.floating_arm", "analysis.arm_workspace", "analysis.reaction_free_path",
+        "analysis.floating_arm", "analysis.reaction_free_path",
     )),
     Task("batches", "Batches and sweeps", (
         "simulation.simulate_many", "simulation.members", "sweeps.",

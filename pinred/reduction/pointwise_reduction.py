@@ -222,7 +222,7 @@ class PointwiseReduction:
         """Compute the curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β] in body form.
 
         With balls, ∂_α are derivatives along the frame of the shape, and the curvature has the
-        additional term −c^γ_αβ A_γ (see pinred.reduction.curvature).
+        additional term −c^γ_αβ A_γ (see the formula at the head of this module).
 
         Args:
             x: Shape, (nx,) [rad | m | 1].
