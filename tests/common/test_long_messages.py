@@ -48,7 +48,7 @@ def test_errors_of_python_are_short(name: str) -> None:
         lambda: pinred.load(name),
         lambda: pinred.load("falling_cat", lock={name: 0.0}),
         lambda: pinred.load("falling_cat", balls=[name]),
-        lambda: pinred.load("falling_cat", group=name),  # type: ignore[arg-type]
+        lambda: pinred.load("falling_cat", group=name),
         lambda: pinred.load("falling_cat", root=name),
         lambda: pinred.load("falling_cat", loops=name),
         lambda: pinred.load("falling_cat", parameters={name: 1.0}),

@@ -9,7 +9,9 @@ from __future__ import annotations
 import ctypes
 import re
 import sys
+from collections import OrderedDict
 from enum import IntEnum
+from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
@@ -26,6 +28,61 @@ from pinred.kernels.kernel import Kernel
 
 _NUMBERS = {name: ctypes.c_int32() for name in ("tid", "ctaid", "ntid")}  # of the current thread
 _PARAMETERS = 9  # number of parameters of the entry point, all of 8 bytes
+
+
+def _plain(operation: str, kinds: str, kind: str = "double") -> tuple[str, list[str], str]:
+    """Return result, arguments and body of a function that is one instruction."""
+    return kind, kinds.split(), f"%value = {operation}\nret {kind} %value"
+
+
+def _half(shift: int) -> tuple[str, list[str], str]:
+    """Return a function that takes one half of the bits of a number."""
+    body = f"%bits = bitcast double %x to i64\n%moved = lshr i64 %bits, {shift}"
+    return "i32", ["double"], f"{body}\n%value = trunc i64 %moved to i32\nret i32 %value"
+
+
+_JOINED = """\
+%low = zext i32 %x to i64
+%half = zext i32 %y to i64
+%high = shl i64 %half, 32
+%bits = or i64 %low, %high
+%value = bitcast i64 %bits to double
+ret double %value"""
+# The instructions of a device that libdevice uses: result, arguments, and body for the CPU.
+_LIBDEVICE = {
+    "__nvvm_reflect": ("i32", ["ptr"], "ret i32 0"),
+    "llvm.nvvm.add.rn.d": _plain("fadd double %x, %y", "double double"),
+    "llvm.nvvm.mul.rn.d": _plain("fmul double %x, %y", "double double"),
+    "llvm.nvvm.fma.rn.d": _plain(
+        "call double @llvm.fma.f64(double %x, double %y, double %z)", "double double double"
+    ),
+    "llvm.nvvm.fmin.d": _plain(
+        "call double @llvm.minnum.f64(double %x, double %y)", "double double"
+    ),
+    "llvm.nvvm.rcp.approx.ftz.d": _plain("fdiv double 1.0, %x", "double"),
+    "llvm.nvvm.trunc.d": _plain("call double @llvm.trunc.f64(double %x)", "double"),
+    "llvm.nvvm.round.f": _plain("call float @llvm.rint.f32(float %x)", "float", "float"),
+    "llvm.nvvm.ex2.approx.ftz.f32": _plain("call float @llvm.exp2.f32(float %x)", "float", "float"),
+    "llvm.nvvm.fabs.f64": _plain("call double @llvm.fabs.f64(double %x)", "double"),
+    "llvm.nvvm.fabs.f32": _plain("call float @llvm.fabs.f32(float %x)", "float", "float"),
+    "llvm.nvvm.fabs.ftz.f32": _plain("call float @llvm.fabs.f32(float %x)", "float", "float"),
+    "llvm.nvvm.d2i.rn": _plain("fptosi double %x to i32", "double", "i32"),
+    "llvm.nvvm.d2i.hi": _half(32),
+    "llvm.nvvm.d2i.lo": _half(0),
+    "llvm.nvvm.lohi.i2d": ("double", ["i32", "i32"], _JOINED),
+}
+_ASSEMBLY = """
+declare void @llvm.trap()
+define { i64, i64 } @host.abort() {
+call void @llvm.trap()
+unreachable
+}
+define double @host.inverse_root(double %x) {
+%root = call double @llvm.sqrt.f64(double %x)
+%value = fdiv double 1.0, %root
+ret double %value
+}
+"""
 
 
 class _Status(IntEnum):
@@ -158,6 +215,16 @@ def _compile(text: str, name: str) -> NativeCode:
             f"\ndefine i32 @host.{special}() {{\n%value = load volatile i32, ptr inttoptr "
             f"(i64 {ctypes.addressof(number)} to ptr)\nret i32 %value\n}}"
         )
+    text = re.sub(r'asm "rsqrt[^"]*", "[^"]*"\(', "@host.inverse_root(", text)
+    # The tangent of a large angle has instructions of the device that no other code replaces.
+    text = re.sub(r"call \{ i64, i64 \} asm .*", "call { i64, i64 } @host.abort()", text)
+    text += _ASSEMBLY
+    for used, (kind, kinds, value) in _LIBDEVICE.items():
+        declared = rf"^declare .*@{re.escape(used)}\(.*\n"
+        if re.search(declared, text, flags=re.M):
+            text = re.sub(declared, "", text, flags=re.M).replace(f"@{used}(", f"@host.{used}(")
+            arguments = ", ".join(f"{each} %{x}" for each, x in zip(kinds, "xyz", strict=False))
+            text += f"\ndefine {kind} @host.{used}({arguments}) {{\n{value}\n}}"
     with LLVM_LOCK:
         context = llvm.create_context()
         module = llvm.parse_assembly(text, context)
@@ -169,11 +236,13 @@ def _compile(text: str, name: str) -> NativeCode:
 def host_driver(monkeypatch: pytest.MonkeyPatch) -> _HostDriver:
     """Replace `cuda.bindings.driver`, and give it IR in place of PTX; return the stand-in."""
     driver = _HostDriver()
-    for name in ("cuda", "cuda.bindings"):
+    names = ["cuda.bindings"] if find_spec("cuda") else ["cuda", "cuda.bindings"]
+    for name in names:  # the package cuda.pathfinder may be there, and finds libdevice
         monkeypatch.setitem(sys.modules, name, ModuleType(name))
     monkeypatch.setitem(sys.modules, driver.__name__, driver)
     for module in (cuda_driver, integrate_on_device):
         monkeypatch.setattr(module, "opened_device", cuda_driver._open_device)
+    monkeypatch.setattr(cuda_driver, "_modules", OrderedDict())
     monkeypatch.setattr(integrate_on_device, "ptx_of", _ir_of)
     return driver
 

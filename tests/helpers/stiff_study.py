@@ -13,7 +13,7 @@ import time
 import warnings
 from collections import Counter
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -22,7 +22,7 @@ from tampering import tampered
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.forces import PD, Damper, Spring
+from pinred.forces import PD, Damper, Force, Spring
 from pinred.judge.reference_solution import FullState
 
 AGREES = 1e-6  # largest difference from SciPy's Radau of a correct motion [rad | m]
@@ -84,7 +84,8 @@ def planted_fault(traj: pinred.Trajectory, seed: int) -> tuple[str, pinred.Traje
         return kind, _with_wrong_states(traj, kind, size, rng)
     start: dict[str, Any] = {"x0": scene.start.x, "xdot0": scene.start.xdot, "xi0": scene.start.xi}
     if kind == "force":
-        scene = replace(scene, forces=[_changed(force, 1.0 + size) for force in scene.forces])
+        forces = cast(tuple[Force, ...], scene.forces)
+        scene = replace(scene, forces=[_changed(force, 1.0 + size) for force in forces])
     elif kind == "start":
         moved = start["x0"].copy()
         moved[rng.integers(len(moved))] += size

@@ -23,34 +23,34 @@ _SIZE, _CENTRE = Parameter("size", 1.0), Parameter("centre", 1.0)
 _WIDTH, _RATE, _SWEEP = Parameter("width", 0.1), Parameter("rate", 100.0), Parameter("sweep", 0.0)
 
 
-Function = Callable[[ca.SX, ca.SX], ca.SX]
+Function = Callable[[Any, Any], Any]  # of expressions
 
 
-def _bump(t: ca.SX) -> ca.SX:
+def _bump(t: Any) -> Any:
     return ca.exp(-(((t - _CENTRE) / _WIDTH) ** 2))
 
 
-def _packet(t: ca.SX, _: ca.SX) -> ca.SX:
+def _packet(t: Any, _: Any) -> Any:
     return ca.sin(_RATE * t) * _bump(t)
 
 
-def _chirp(t: ca.SX, _: ca.SX) -> ca.SX:
+def _chirp(t: Any, _: Any) -> Any:
     return ca.sin((_RATE + _SWEEP * (t - _CENTRE)) * t) * _bump(t)
 
 
-def _gaussian(t: ca.SX, _: ca.SX) -> ca.SX:
+def _gaussian(t: Any, _: Any) -> Any:
     return _bump(t)
 
 
-def _lorentzian(t: ca.SX, _: ca.SX) -> ca.SX:
+def _lorentzian(t: Any, _: Any) -> Any:
     return 1.0 / (1.0 + ((t - _CENTRE) / _WIDTH) ** 2)
 
 
-def _product(t: ca.SX, x: ca.SX) -> ca.SX:
+def _product(t: Any, x: Any) -> Any:
     return ca.sin(_RATE * t) * _bump(t) * (1.0 + 0.5 * ca.cos(2.0 * x)) - 0.1 * x
 
 
-def _wave(t: ca.SX, x: ca.SX) -> ca.SX:
+def _wave(t: Any, x: Any) -> Any:
     return ca.sin(_RATE * t - 3.0 * x) * _bump(t)
 
 
@@ -130,6 +130,7 @@ def cases(count: int, seed: int = 0) -> Iterator[Case]:
             "size": size, "centre": centre, "width": width, "rate": rate, "sweep": sweep,
         }  # fmt: skip
         scene = scene_of(robot, kind)
+        assert scene.force_model is not None
         used = {p.name: parameters[p.name] for p in scene.force_model.parameters}
         yield Case(robot, kind, used, scene, 4.0 * rate + 10.0 / width)
 

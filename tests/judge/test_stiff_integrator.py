@@ -20,7 +20,7 @@ def test_decay_to_known_motion_is_accurate_in_few_steps(decay: float) -> None:
     """Y' = −λ (y − cos t) − sin t has the solution cos t + e^(−λt), however fast it decays."""
 
     def rate(t: float, y: Array) -> Array:
-        return -decay * (y - np.cos(t)) - np.sin(t)
+        return np.asarray(-decay * (y - np.cos(t)) - np.sin(t))
 
     times = np.linspace(0.0, 5.0, 41)
     solver = integrate(rate, [2.0], 5.0, 1e-12)

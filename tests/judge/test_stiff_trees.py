@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from stiff_study import AGREES, _changed, planted_fault, scipy_difference, study
 from stiff_trees import stiff_tree
 
 import pinred
+from pinred.forces import Force
 from pinred.judge.reference_solution import FullState
 from pinred.judge.step_defects import compute_defects
 
@@ -35,7 +37,8 @@ def test_error_between_report_times_cannot_tell() -> None:
     assert "between report times" in report.reasons[0]
     traj = pinred.simulate(scene, times=np.linspace(0.0, scene.end, 101))
     assert pinred.compare(traj).verdict == "FAILED"
-    wrong = replace(scene, forces=[_changed(force, 1.0 + 1e-6) for force in scene.forces])
+    forces = cast(tuple[Force, ...], scene.forces)
+    wrong = replace(scene, forces=[_changed(force, 1.0 + 1e-6) for force in forces])
     assert pinred.compare(pinred.Trajectory(wrong, traj.motion, traj.run)).verdict == "FAILED"
 
 

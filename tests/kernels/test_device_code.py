@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from enum import IntEnum
 from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 
@@ -23,8 +24,7 @@ from pinred.integrators.stepping.codes import DONE, TOO_MANY
 from pinred.integrators.stepping.compiling import compiled
 from pinred.integrators.stepping.run_state import EVALUATIONS_BETWEEN_PAUSES, Runs
 from pinred.kernels.build import build_kernel
-from pinred.kernels.device import device_code
-from pinred.kernels.device.integrate_on_device import integrate_on_device
+from pinred.kernels.device import cuda_driver, device_code, integrate_on_device
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.state_layout import Structure
 
@@ -140,7 +140,7 @@ def test_members_in_device_threads_equal_single_runs_bit_for_bit(
     times = ends[:, None] * np.array([0.0, 0.3, 0.7, 1.0])
     times[::2, 3] = np.inf
     method = DOP853(rtol=1e-6, max_steps=12)
-    many = integrate_on_device(method, kernel, params, y0, ends, times)
+    many = integrate_on_device.integrate_on_device(method, kernel, params, y0, ends, times)
     assert driver.launched == 1
     assert set(many.status) == {DONE, TOO_MANY}
     for k in range(66):
@@ -176,7 +176,7 @@ def test_long_member_without_parameters_ends_in_one_launch(
     kernel = build_kernel(kernel.system, Structure())
     (params,), (y0,) = _batch(kernel, 1)
     assert len(params) == 0
-    many = integrate_on_device(DOP853(), kernel, [params], [y0], 1.5, [1.5])
+    many = integrate_on_device.integrate_on_device(DOP853(), kernel, [params], [y0], 1.5, [1.5])
     assert many.evaluations[0] > EVALUATIONS_BETWEEN_PAUSES
     _check_member(DOP853(), kernel, many, 0, params, y0, 1.5)
 
@@ -184,16 +184,49 @@ def test_long_member_without_parameters_ends_in_one_launch(
 # --- what devices do not have ---------------------------------------------------------------
 
 
-def test_method_that_needs_pow_is_refused(kernel: Kernel) -> None:
+_POW = """
+define double @__nv_pow(double %x, double %y) {
+%value = fmul double %x, 2.5e-1
+ret double %value
+}
+define double @__nv_unused(double %x) {
+%value = call double @nowhere(double %x)
+ret double %value
+}
+declare double @nowhere(double)
+"""
+
+
+def test_function_that_devices_lack_comes_from_libdevice(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only what is called is linked; the same name serves libm and LLVM's intrinsic."""
+    module = llvm.parse_assembly(_POW, llvm.create_context())
+    monkeypatch.setattr(device_code, "_libdevice", module.as_bitcode)
+    ir = device_code.device_ir(kernel, Tsit5())
+    assert "2.500000e-01" in ir
+    assert "nowhere" not in ir
+    ptx = device_code.emit_ptx(ir)
+    assert _EXTERN not in ptx
+    both = "declare double @pow(double)\ndeclare double @llvm.pow.f64(double)\ncall @pow(1)"
+    renamed = device_code._with_names_of_libdevice(both, ["llvm.pow.f64", "pow"], {"__nv_pow"})
+    assert renamed.count("declare double @__nv_pow(") == 1
+    assert renamed.endswith("call @__nv_pow(1)")
+
+
+def test_method_that_needs_pow_is_refused_without_libdevice(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The order of Tsit5 is no power of two, so its steps need a fifth root."""
+    monkeypatch.setattr(device_code, "_libdevice", lambda: None)
     with pytest.raises(UnsupportedOperationError, match=r"Tsit5 .* need llvm\.pow\.f64"):
         device_code.device_ir(kernel, Tsit5())
 
 
 def test_implicit_method_is_refused(kernel: Kernel) -> None:
     """They need derivatives, which no device code computes."""
-    with pytest.raises(InputError, match="method: expected DOP853 on a device, got Gauss"):
-        integrate_on_device(Gauss(0.1), kernel, *_batch(kernel, 1), 1.0, [1.0])
+    with pytest.raises(InputError, match="method: expected DOP853 or Tsit5 on a device, got Gauss"):
+        integrate_on_device.integrate_on_device(Gauss(0.1), kernel, *_batch(kernel, 1), 1.0, [1.0])
 
 
 def test_errors_of_the_driver_release_its_memory(
@@ -203,5 +236,27 @@ def test_errors_of_the_driver_release_its_memory(
     driver = host_driver(monkeypatch)
     driver.limit = 15_000  # enough for the registers of the runs and the parameters
     with pytest.raises(DeviceError, match="cuMemAlloc failed: CUDA_ERROR_OUT_OF_MEMORY"):
-        integrate_on_device(DOP853(), kernel, *_batch(kernel, 40), 1.0, [1.0])
-    assert (driver.memory, driver.modules, driver.contexts) == ({}, {}, 0)
+        integrate_on_device.integrate_on_device(DOP853(), kernel, *_batch(kernel, 40), 1.0, [1.0])
+    assert (driver.memory, driver.contexts) == ({}, 0)
+
+
+def test_module_stays_loaded_for_the_next_run(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The driver assembles a code once; the module that was not used for longest goes."""
+    driver = host_driver(monkeypatch)
+    monkeypatch.setattr(cuda_driver, "MODULES", 2)
+    loaded: list[bytes] = []
+    load = driver.cuModuleLoadData
+
+    def counted(image: bytes) -> tuple[IntEnum, int]:
+        loaded.append(image)
+        return load(image)
+
+    monkeypatch.setattr(driver, "cuModuleLoadData", counted)
+    texts = [f"{device_code.device_ir(kernel, DOP853())}\n; {k}\n".encode() for k in range(3)]
+    for k, expected in ((0, 1), (1, 2), (0, 2), (2, 3), (0, 3), (1, 4)):
+        monkeypatch.setattr(integrate_on_device, "ptx_of", lambda *_, k=k: texts[k])
+        integrate_on_device.integrate_on_device(DOP853(), kernel, *_batch(kernel, 1), 0.1, [0.1])
+        assert len(loaded) == expected
+        assert len(driver.modules) <= 2

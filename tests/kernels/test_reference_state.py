@@ -245,10 +245,10 @@ def test_numbers_that_are_zero_have_the_size_of_their_effect() -> None:
     plan = {slide: pinred.signals.Constant(offset)}
     scene = pinred.Scene(system=system, seed=0, prescribed=plan)
     kernel = kernel_of(plan_of(scene), zero_momentum=False)
-    sizes, k = draw(kernel).sizes, system.shape_names.index(slide)
-    assert sizes.numbers == pytest.approx([sizes.length])
+    own, k = draw(kernel).sizes, system.shape_names.index(slide)
+    assert own.numbers == pytest.approx([own.length])
     drawn = [draw(kernel, seed).x[k] for seed in range(60)]
-    assert np.std(drawn) == pytest.approx(sizes.length, rel=0.2)
+    assert np.std(drawn) == pytest.approx(own.length, rel=0.2)
 
 
 def own_units(kernel: Kernel) -> dict[str, list[Array]]:

@@ -204,8 +204,9 @@ def test_compared_entries_of_one_kind_have_equal_units(
     """In units of a millimetre, values of one kind change by one factor."""
     require_agreement = validation.require_agreement
 
-    def compared(units: Units) -> list[tuple[str, Array, Array, Any]]:
-        kernel, seen = ROBOT_KERNELS[robot](units), []
+    def compared(units: Units) -> list[tuple[str, Array, Any, Any]]:
+        kernel = ROBOT_KERNELS[robot](units)
+        seen: list[tuple[str, Array, Any, Any]] = []
 
         def record(
             who: str, what: str, found: Array, expected: Array, terms: Any, *rest: Any, **kinds: Any

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 import pinred
 from pinred.cli.main import main
 from pinred.forces import Controller
+from pinred.lie.group import Group
 from pinred.lie.groups import GROUPS, SE2, SE3, SO2
 from pinred.views.plots.connection_field import component_of
 
@@ -19,7 +21,7 @@ PLANAR = (("x", "v1"), ("y", "v2"), ("θ", "theta", "turn", "ω", "w", "omega"))
 
 
 @pytest.mark.parametrize("group", GROUPS.values(), ids=repr)
-def test_components_start_with_the_names_of_the_quantity(group: pinred.Group) -> None:
+def test_components_start_with_the_names_of_the_quantity(group: Group) -> None:
     """In order, and every other name means an entry of the same axis."""
     names = {
         "pose": group.pose_names, "twist": group.twist_names, "momentum": group.momentum_names,
@@ -51,7 +53,7 @@ def test_components_of_se2_are_accepted_by_all_names(quantity: str) -> None:
 def test_formula_and_function_name_components() -> None:
     """Events at one time, by number, by each name in a formula, and by name in a function."""
     chain = pinred.load("planar_chain5")
-    start = {"seed": 2, "pose0": [0.3, -0.2, 0.9], "duration": 0.4, "rtol": 1e-12}
+    start: dict[str, Any] = {"seed": 2, "pose0": [0.3, -0.2, 0.9], "duration": 0.4, "rtol": 1e-12}
     state = pinred.simulate(chain, times=[0.0, 0.2, 0.4], **start).states
     pose, xi, J = state.pose[1].tolist(), state.xi[1].tolist(), state.spatial_momentum[1]
     L = float(J[2]) - pose[0] * float(J[1]) + pose[1] * float(J[0])  # about the origin of the base
@@ -73,7 +75,7 @@ def test_formula_and_function_name_components() -> None:
 
 def test_unknown_component_names_the_components() -> None:
     """In functions, formulas, figures, and sweeps."""
-    scene = {"seed": 2, "duration": 0.1}
+    scene: dict[str, Any] = {"seed": 2, "duration": 0.1}
     with pytest.raises(pinred.InputError, match=r"pose: no component 'z'; .*are x, y, θ"):
         pinred.Scene(system=SWIMMER, events=pinred.Event(lambda s: s.pose["z"]), **scene)
     with pytest.raises(pinred.InputError, match=r"pose has no entry 'z'(.|\n)*pose\['x'\]"):
@@ -104,7 +106,8 @@ def test_controller_reads_components_by_name() -> None:
 def test_field_is_drawn_of_component_by_any_name() -> None:
     """Index, name of the twist and name of the pose select the same entry."""
     for k, names in enumerate(PLANAR):
-        assert {component_of(SE2, name, np.ones(3)) for name in (*names, k)} == {k}
+        asked: tuple[str | int, ...] = (*names, k)
+        assert {component_of(SE2, name, np.ones(3)) for name in asked} == {k}
     assert component_of(SE3, "y", np.ones(6)) == 1
     assert component_of(SE3, "w2", np.ones(6)) == 4
 

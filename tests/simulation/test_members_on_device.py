@@ -21,8 +21,8 @@ from pinred.common.errors import (
 )
 from pinred.forces.kinds import Torque
 from pinred.forces.signals.tabulated import Hold
-from pinred.integrators.methods import DOP853
-from pinred.kernels.device import cuda_driver, integrate_on_device
+from pinred.integrators.methods import DOP853, Explicit, Tsit5
+from pinred.kernels.device import cuda_driver, device_code, integrate_on_device
 from pinred.system.system import System
 
 
@@ -88,7 +88,7 @@ def test_body_without_reduced_states_moves_on_a_device(monkeypatch: pytest.Monke
     [
         ({"device": "gpu"}, "device: expected None or 'cuda', got 'gpu'"),
         ({"threads": 2}, "threads: expected None with a device, got 2. Omit it"),
-        ({"method": "Gauss(0.1)"}, "method: expected DOP853 on a device, got Gauss"),
+        ({"method": "Gauss(0.1)"}, "method: expected DOP853 or Tsit5 on a device, got Gauss"),
     ],
 )
 def test_options_that_do_not_fit_a_device_are_refused(
@@ -111,11 +111,39 @@ def test_members_that_are_simulated_one_by_one_are_refused(cat: System) -> None:
 def test_forces_with_functions_that_devices_lack_are_refused(
     cat: System, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The message names the function."""
+    """The message names the function, and the extra that has it."""
     host_driver(monkeypatch)
+    monkeypatch.setattr(device_code, "_libdevice", lambda: None)
     force = Torque({cat.space.names[0]: lambda t, *_: 1e-3 * ca.exp(-t)})
-    with pytest.raises(UnsupportedOperationError, match="'falling_cat' need exp, "):
+    with pytest.raises(
+        UnsupportedOperationError, match=r"'falling_cat' need exp, .* pip install \"pinred\[ptxas\]"
+    ):
         pinred.simulate_many(cat, seeds=range(2), times=[0.1], forces=[force], device="cuda")
+
+
+def _functions(t: ca.SX, *_: object) -> ca.SX:
+    """Return a sum of functions of libm."""
+    powers = (1 + t) ** 1.3 + ca.exp(-t) + ca.expm1(t) + ca.log(1 + t) + ca.log1p(t)
+    angles = ca.tan(t) + ca.asin(0.3 * t) + ca.acos(0.1 * t) + ca.atan(t) + ca.atan2(t, 2)
+    hyperbolic = ca.sinh(t) + ca.cosh(t) + ca.tanh(3 * t) + ca.asinh(t) + ca.acosh(1.5 + t)
+    return 1e-2 * (powers + angles + hyperbolic + ca.atanh(0.2 * t) + ca.erf(t) + ca.hypot(t, 2))
+
+
+@pytest.mark.parametrize("method", [DOP853(), Tsit5()], ids=lambda method: method.name)
+def test_functions_of_libdevice_agree_with_libm(
+    cat: System, method: Explicit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The CPU executes libdevice; its steps need roots with Tsit5."""
+    host_driver(monkeypatch)
+    if device_code._libdevice() is None:
+        pytest.skip("no libdevice: install the extra ptxas")
+    options = _options(cat) | {"method": method}
+    options["members"]["x0"][3] = 0.1  # libdevice reduces large angles with other instructions
+    options["forces"] = [Torque({cat.space.names[0]: _functions})]
+    cpu = pinred.simulate_many(cat, **options)
+    device = pinred.simulate_many(cat, device="cuda", **options)
+    np.testing.assert_allclose(device.x, cpu.x, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(device.pose, cpu.pose, rtol=0, atol=1e-13)
 
 
 # --- machines without a device ---------------------------------------------------------------

@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+import timed_torques
 from scipy.optimize import brentq
 from scipy.special import jv
 
@@ -24,7 +25,6 @@ from pinred.simulation.flow_map import resolved_run
 from pinred.simulation.members import integrate_members
 from pinred.simulation.plan import plan_of
 from pinred.simulation.step_limits import StepLimits
-from tests.helpers import timed_torques
 
 CAT = pinred.load("falling_cat")
 CENTRE, WIDTH, RATE = Parameter("centre", 1.0), Parameter("width", 0.01), Parameter("rate", 1.0)

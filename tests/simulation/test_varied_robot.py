@@ -145,8 +145,8 @@ def test_names_without_values_use_those_of_the_robot() -> None:
         scene = pinred.Scene(system=cat, seed=1, duration=0.2, parameters=parameters)
         np.testing.assert_array_equal(pinred.simulate(scene).x, plain.x)
         assert "inputs: inertias of the bodies on" in explain(plan_of(scene))
-        (one,) = pinred.simulate_many([scene])
-        np.testing.assert_allclose(one.x, plain.x, rtol=0, atol=1e-9)
+        many = pinred.simulate_many([scene])
+        np.testing.assert_allclose(many.x[0], plain.x, rtol=0, atol=1e-9)
     assert len(scene.parameters) == 4 * 3 + 3
 
 

@@ -71,7 +71,7 @@ def flip_bit(path: Path, rng: np.random.Generator) -> None:
     path.write_bytes(data)
 
 
-FAULTS: dict[str, Callable[[Path, np.random.Generator], None]] = {
+FAULTS: dict[str, Callable[[Path, np.random.Generator], object]] = {
     "delete": lambda path, _: path.unlink(),
     "truncate": truncate,
     "empty": lambda path, _: path.write_bytes(b""),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -324,7 +325,8 @@ def test_loops_of_locked_joints_are_dropped_and_requested_ones_replace(tmp_path:
     loop = pinred.Loop("closing_rear_1", "closing_rear_2", "6d", "closing_rear")
     with pytest.raises(ModelError, match=r"nothing can move|do not close"):
         pinred.load(path, loops=[loop])
-    for kind, first in (("3d", "closing_rear_1"), ("y", "closing_rear_2")):
+    kinds: tuple[tuple[Any, str], ...] = (("3d", "closing_rear_1"), ("y", "closing_rear_2"))
+    for kind, first in kinds:
         second = f"closing_rear_{3 - int(first[-1])}"
         system = pinred.load(path, loops=[pinred.Loop(first, second, kind, coupled=False)])
         assert [str(loop) for loop in system.loops] == [f"{first} = {second} ({kind})"]

@@ -6,6 +6,7 @@ import base64
 import gzip
 import re
 from collections.abc import Iterator
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -403,7 +404,7 @@ def test_film_says_beforehand_how_long_it_takes(
     for pace, line in ((0.5, "pinred: the 100 frames of the film take about 47 s\n"), (0.01, "")):
         now = iter(np.arange(200.0) * pace * 5)
         parts: list[float] = []
-        report = films._announcing(parts.append, 100, lambda now=now: next(now))
+        report = films._announcing(parts.append, 100, partial(next, now))
         for k in range(1, 101):
             report(k / 100)
         assert parts == [k / 100 for k in range(1, 101)]

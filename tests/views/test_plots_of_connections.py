@@ -270,7 +270,7 @@ def test_cycles_are_drawn_finely_and_right(momentum: float | list[float]) -> Non
         at = red.at(x)
         mu = SE2.Ad(g).T @ np.broadcast_to(momentum, (3,))
         xi = np.linalg.solve(at.locked_inertia, mu) - at.local_connection @ xdot
-        return SE2.rate(g, xi).tolist()
+        return [float(value) for value in SE2.rate(g, xi)]
 
     exact = solve_ivp(rate, (0.0, 1.0), np.zeros(3), "DOP853", times, rtol=1e-11, atol=1e-12).y.T
     np.testing.assert_allclose(poses, exact, rtol=0, atol=1e-8)

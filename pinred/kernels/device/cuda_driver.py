@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Any
@@ -14,6 +15,7 @@ from ...common.memo import once_for_all
 from ...common.optional_packages import install_command, optional_package
 
 CAPABILITY = (9, 0)  # lowest compute capability that runs the PTX
+MODULES = 16  # largest number of modules that stay loaded
 _BLOCK = 64  # threads per block; a thread uses all registers that it can have
 _REMEDY = "Omit device to integrate on the CPU."
 _ATTRIBUTE = "CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY"
@@ -38,9 +40,7 @@ def run_on_device(
     with ExitStack() as stack:
         call(driver.cuCtxPushCurrent, context)
         stack.callback(call, driver.cuCtxPopCurrent)
-        module = call(driver.cuModuleLoadData, code + b"\0")
-        stack.callback(call, driver.cuModuleUnload, module)
-        function = call(driver.cuModuleGetFunction, module, entry.encode())
+        function = call(driver.cuModuleGetFunction, _loaded(driver, code), entry.encode())
         values = np.zeros(len(arguments), np.uint64)
         copies: list[tuple[NDArray[Any], Any]] = []
         for k, argument in enumerate(arguments):
@@ -61,6 +61,21 @@ def run_on_device(
         for array, memory in copies:
             if array.flags.writeable:
                 call(driver.cuMemcpyDtoH, array.ctypes.data, memory, array.nbytes)
+
+
+# Modules by their code, the last used one last: the driver takes longer to load one than many runs.
+_modules: OrderedDict[bytes, Any] = OrderedDict()
+
+
+def _loaded(driver: Any, code: bytes) -> Any:
+    """Return the module of a code, which the current context keeps."""
+    if code not in _modules:
+        module = call(driver.cuModuleLoadData, code + b"\0")
+        while len(_modules) >= MODULES:
+            call(driver.cuModuleUnload, _modules.popitem(last=False)[1])
+        _modules[code] = module
+    _modules.move_to_end(code)
+    return _modules[code]
 
 
 def _open_device() -> tuple[Any, Any]:

@@ -10,6 +10,8 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import asdict
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -20,6 +22,7 @@ from ...common.errors import UnsupportedOperationError
 from ...common.machine_code import LLVM_LOCK
 from ...common.memo import once, once_for_all
 from ...common.object_cache import ObjectCache, cache_key
+from ...common.optional_packages import install_command
 from ...integrators.methods.method import Explicit, stepper_of
 from ...integrators.stepping.argument_types import argument_type, plain_value
 from ...integrators.stepping.call_wrapper import COMPILED
@@ -43,10 +46,10 @@ define double @sqrt(double %x) alwaysinline {
 ret double %root
 }
 """
-# Intrinsics of LLVM that become instructions of the device.
+# Intrinsics of LLVM, and a function of libdevice, that become instructions of the device.
 _INTRINSICS = re.compile(
-    r"llvm\.(nvvm|mem(cpy|set)|lifetime|experimental\.noalias|assume|vector\.reduce|fma|fmuladd|"
-    r"sqrt|fabs|floor|ceil|copysign|minnum|maxnum|ctlz|[su](min|max)|abs)\."
+    r"__nvvm_reflect$|llvm\.(nvvm|mem(cpy|set)|lifetime|experimental\.noalias|assume|fma|fmuladd|"
+    r"vector\.reduce|sqrt|fabs|floor|ceil|copysign|minnum|maxnum|ctlz|[su](min|max)|abs)\."
 )
 
 
@@ -103,23 +106,22 @@ def device_ir(kernel: Kernel, method: Explicit) -> str:
         machine = _machine()
         for text in texts:
             module.link_in(llvm.parse_assembly(text, context))
-        module.triple, module.data_layout = _TRIPLE, str(machine.target_data)
-        for function in module.functions:
-            if not function.is_declaration and function.name != ENTRY:
-                function.linkage = "internal"
-        passes = llvm.create_new_module_pass_manager()
-        passes.add_always_inliner_pass()
-        passes.add_global_dead_code_eliminate_pass()
-        passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
-        names = [function.name for function in module.functions if function.is_declaration]
+        missing = _settle(module, machine)
+        if missing and (library := _libdevice()) is not None:
+            library = llvm.parse_bitcode(library, context)
+            known = {function.name for function in library.functions if not function.is_declaration}
+            text = _with_names_of_libdevice(str(module), missing, known)
+            module.close()
+            module = llvm.parse_assembly(text, context)
+            module.link_in(library)
+            missing = _settle(module, machine)
         ir = str(module)
         module.close()  # before its context is deleted
-    missing = sorted(name for name in names if not _INTRINSICS.match(name))
     if missing:
         raise UnsupportedOperationError(
             f"device: {method.name} or the forces on '{kernel.system.name}' need "
-            f"{', '.join(missing)}, for which there is no device code. Use DOP853 and forces "
-            "without these functions, or integrate without device"
+            f"{', '.join(missing)}, for which there is no device code. {_remedy()}, or integrate "
+            "without device"
         )
     return ir
 
@@ -134,11 +136,58 @@ def emit_ptx(ir: str) -> bytes:
     return text.encode()
 
 
+def _settle(module: Any, machine: Any) -> list[str]:
+    """Inline and remove functions of a module for the device; return the names that it lacks."""
+    module.triple, module.data_layout = _TRIPLE, str(machine.target_data)
+    for function in module.functions:
+        if not function.is_declaration and function.name != ENTRY:
+            function.linkage = "internal"
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_always_inliner_pass()
+    passes.add_global_dead_code_eliminate_pass()
+    passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
+    names = [function.name for function in module.functions if function.is_declaration]
+    return sorted(name for name in names if not _INTRINSICS.match(name))
+
+
 def _machine() -> Any:
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     target = llvm.Target.from_triple(_TRIPLE)
     return target.create_target_machine(cpu=_CPU, features=_FEATURES, opt=_LEVEL)
+
+
+# --- libdevice: NVIDIA's functions of libm ---------------------------------------------------
+
+
+def _with_names_of_libdevice(ir: str, names: list[str], known: set[str]) -> str:
+    """Call functions of libm, and LLVM's intrinsics of them, by their names in libdevice."""
+    declared: set[str] = set()
+    for name in names:
+        own = f"__nv_{name.removeprefix('llvm.').removesuffix('.f64')}"
+        if own not in known:
+            continue
+        if own in declared:  # once for the function, and once for the intrinsic
+            ir = re.sub(rf"^declare .*@{re.escape(name)}\(.*$", "", ir, flags=re.M)
+        ir = ir.replace(f"@{name}(", f"@{own}(")
+        declared.add(own)
+    return ir
+
+
+@once_for_all
+def _libdevice() -> bytes | None:
+    """Return the bitcode of libdevice, None if it is not installed."""
+    try:
+        pathfinder = import_module("cuda.pathfinder")
+        return Path(pathfinder.find_bitcode_lib("device")).read_bytes()
+    except (ImportError, RuntimeError):
+        return None
+
+
+def _remedy() -> str:
+    if _libdevice() is None:
+        return f"Install NVIDIA's libdevice: {install_command('ptxas')}"
+    return "Use a method and forces without these functions"
 
 
 # --- step loop ------------------------------------------------------------------------------

@@ -47,7 +47,9 @@ def integrate_on_device(
         UnsupportedOperationError: The code needs a function that devices do not have.
     """
     if not isinstance(method, Explicit):
-        raise InputError(f"method: expected DOP853 on a device, got {method.name}. Choose DOP853")
+        raise InputError(
+            f"method: expected DOP853 or Tsit5 on a device, got {method.name}. Choose one of them"
+        )
     opened_device()  # report a missing device before its code is generated
     quaternions = kernel.layout.quaternions
     asked = checked_batch(kernel.rate.address, params, y0, t_end, times, quaternions, 1)

@@ -1,0 +1,125 @@
+"""Export batches for a CUDA device: PTX, arguments of the launch, and states of the CPU.
+
+    python tests/device/export_batches.py FOLDER
+
+No device is needed.  `run_on_device.py` runs the folder on a machine that has one.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import casadi as ca
+import numpy as np
+
+import pinred
+from pinred.forces.kinds import Torque
+from pinred.kernels.device import integrate_on_device
+
+
+@dataclass(frozen=True)
+class Batch:
+    """A batch of members with random shapes and rates.
+
+    Attributes:
+        name: Name of its files.
+        robot: Name of the robot.
+        end: End time [s].
+        method: Name of the method.
+        bound: Largest difference from the CPU, relative to the largest state: round-off times the
+            growth of perturbations.
+        functions: Whether a torque of time needs functions of libm, hence libdevice.
+    """
+
+    name: str
+    robot: str
+    end: float
+    method: str = "DOP853"
+    bound: float = 1e-9
+    functions: bool = False
+
+    def options(self, count: int) -> dict[str, Any]:
+        """Return the arguments of `simulate_many` for some members."""
+        system = pinred.load(self.robot)
+        rng = np.random.default_rng(7)
+        options: dict[str, Any] = {
+            "system": system,
+            "members": {"x0": 0.3 * rng.normal(size=(count, system.m))},
+            "xdot0": 0.3 * rng.normal(size=system.m),
+            "times": [self.end],
+            "method": f"{self.method}(rtol=1e-9, atol=1e-9)",
+        }
+        if self.functions:
+            options["forces"] = [Torque({system.space.names[0]: _functions})]
+        return options
+
+
+def _functions(t: ca.SX, *_: object) -> ca.SX:
+    waves = ca.exp(-t) + ca.tanh(3 * t) + ca.tan(0.5 * ca.sin(t)) + ca.log(1 + t) + (1 + t) ** 1.3
+    return 1e-2 * (waves + ca.atan2(t, 2) + ca.sinh(0.1 * t) + ca.cosh(0.1 * t) + ca.atan(t))
+
+
+BATCHES = (
+    Batch("coupled_planar", "coupled_planar", 10.0),
+    Batch("planar_chain5", "planar_chain5", 10.0, bound=1e-7),
+    Batch("satellite_two_arms", "satellite_two_arms", 10.0, bound=1e-7),
+    Batch("solo12", "solo12", 4.0),
+    Batch("talos", "talos", 2.0),
+    Batch("tsit5", "falling_cat", 2.0, method="Tsit5"),
+    Batch("functions", "falling_cat", 2.0, functions=True),
+)
+
+
+class _Exported(Exception):  # noqa: N818 - no error
+    """The launch is stored."""
+
+
+def export(batch: Batch, folder: Path, count: int = 256) -> Path:
+    """Store what `simulate_many` would launch for a batch, and the states that the CPU finds.
+
+    Args:
+        batch: The batch.
+        folder: Folder of the files.
+        count: Number of members.
+    Returns:
+        The file of the arguments.
+    """
+    file = folder / f"{batch.name}.npz"
+    options = batch.options(count)
+    expected = pinred.simulate_many(**options).y
+
+    def store(code: bytes, entry: str, threads: int, arguments: Sequence[Any]) -> None:
+        assert (entry, threads) == ("integrate_members", count)
+        size, columns, rows, runs, params, y0, times, y, status = arguments
+        assert size == count
+        file.with_suffix(".ptx").write_bytes(code)
+        np.savez_compressed(
+            file, numbers=[columns, rows], runs=runs.view(np.uint8).reshape(count, -1),
+            params=params, y0=y0, times=times, y=y, status=status, expected=expected,
+            bound=batch.bound,
+        )  # fmt: skip
+        raise _Exported
+
+    with (
+        mock.patch.object(integrate_on_device, "opened_device"),
+        mock.patch.object(integrate_on_device, "run_on_device", store),
+    ):
+        try:
+            pinred.simulate_many(device="cuda", **options)
+        except _Exported:
+            return file
+    raise AssertionError(f"'{batch.name}' launched nothing")
+
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1])
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copy(Path(__file__).with_name("run_on_device.py"), folder)
+    for each in BATCHES:
+        print(export(each, folder))

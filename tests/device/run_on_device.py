@@ -1,0 +1,139 @@
+"""Run exported batches on a CUDA device, and compare them with the CPU.
+
+The machine needs NVIDIA's driver, NumPy and cuda-bindings, but neither pinred nor Pinocchio:
+
+    python run_on_device.py FOLDER [--members 65536]
+
+FOLDER comes from `export_batches.py`.  The members of a batch are repeated until there are enough
+of them to fill the device.  The exit status is 1 if a number is farther from the CPU's than its
+bound.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+BLOCK = 64  # threads per block
+REPETITIONS = 3
+
+
+def run_batch(driver: Any, file: Path, members: int) -> dict[str, Any]:
+    """Run a batch, and compare all members with the states that the CPU found.
+
+    Args:
+        driver: The module `cuda.bindings.driver`, with a current context.
+        file: Arguments of the launch and expected states (`.npz`); the PTX is beside it.
+        members: Smallest number of members.
+    Returns:
+        Name, numbers of members, seconds to load the code, microseconds of the kernel per member,
+        and median and largest difference relative to the largest state.
+    """
+    with np.load(file) as stored:
+        arrays = dict(stored)
+    expected, bound = arrays.pop("expected"), float(arrays.pop("bound"))
+    count = len(expected)
+    copies = -(-members // count)
+    threads = copies * count
+    begun = perf_counter()
+    module = call(driver.cuModuleLoadData, file.with_suffix(".ptx").read_bytes() + b"\0")
+    loading = perf_counter() - begun
+    function = call(driver.cuModuleGetFunction, module, b"integrate_members")
+    columns, rows = map(int, arrays.pop("numbers"))
+    names = ("runs", "params", "y0", "times", "y", "status")
+    host = {
+        name: np.ascontiguousarray(
+            arrays[name]
+            if name == "times" and rows == 1
+            else np.concatenate([arrays[name]] * copies)
+        )
+        for name in names
+    }
+    memory = {name: call(driver.cuMemAlloc, max(host[name].nbytes, 1)) for name in names}
+    arguments = [threads, columns, rows if rows == 1 else threads, *map(int, memory.values())]
+    values = np.array(arguments, np.uint64)
+    addresses = values.ctypes.data + values.itemsize * np.arange(len(values), dtype=np.uint64)
+    walls = []
+    for _ in range(REPETITIONS):
+        for name in names:
+            if host[name].nbytes:
+                call(driver.cuMemcpyHtoD, memory[name], host[name].ctypes.data, host[name].nbytes)
+        call(driver.cuCtxSynchronize)
+        begun = perf_counter()
+        sizes = (-(-threads // BLOCK), 1, 1, BLOCK, 1, 1)
+        call(driver.cuLaunchKernel, function, *sizes, 0, 0, addresses.ctypes.data, 0)
+        call(driver.cuCtxSynchronize)
+        walls.append(perf_counter() - begun)
+    call(driver.cuMemcpyDtoH, host["y"].ctypes.data, memory["y"], host["y"].nbytes)
+    for address in memory.values():
+        call(driver.cuMemFree, address)
+    call(driver.cuModuleUnload, module)
+    # A launch also reports the state at its end.
+    states = host["y"].reshape(copies, count, columns, -1)[:, :, : expected.shape[1]]
+    errors = np.abs(states - expected) / max(1.0, float(np.abs(expected).max()))
+    largest = float(errors.max())  # NaN where a member failed
+    return {
+        "batch": file.stem,
+        "members": threads,
+        "loading_s": loading,
+        "us_each": 1e6 * float(np.median(walls)) / threads,
+        "median": float(np.median(errors)),
+        "largest": largest,
+        "bound": bound,
+        "passed": bool(largest <= bound),
+    }
+
+
+def call(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function of the driver; return its value.  Raises RuntimeError for an error."""
+    status, *values = function(*arguments)
+    if int(status) != 0:
+        raise RuntimeError(f"{function.__name__} failed: {status.name}")
+    return values[0] if values else None
+
+
+def run_folder(driver: Any, folder: Path, members: int) -> list[dict[str, Any]]:
+    """Run all batches of a folder on the first device; print a line for each."""
+    call(driver.cuInit, 0)
+    device = call(driver.cuDeviceGet, 0)
+    call(driver.cuCtxPushCurrent, call(driver.cuDevicePrimaryCtxRetain, device))
+    results = []
+    print("batch                 members   load s  µs each    median   largest     bound")
+    try:
+        for file in sorted(folder.glob("*.npz")):
+            results.append(result := run_batch(driver, file, members))
+            print(
+                f"{result['batch']:20} {result['members']:8d} {result['loading_s']:8.2f} "
+                f"{result['us_each']:8.3f} {result['median']:9.1e} {result['largest']:9.1e} "
+                f"{result['bound']:9.1e}{'' if result['passed'] else '  FAILED'}",
+                flush=True,
+            )
+    finally:
+        call(driver.cuCtxPopCurrent)
+    return results
+
+
+def main() -> int:
+    """Run the batches of a folder; write results.json there; return 1 if one fails."""
+    from cuda.bindings import driver
+
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("folder", type=Path, help="folder of exported batches")
+    parser.add_argument("--members", type=int, default=65536, help="smallest number of members")
+    options = parser.parse_args()
+    results = run_folder(driver, options.folder, options.members)
+    (options.folder / "results.json").write_text(json.dumps(results, indent=1))
+    return 0 if results and all(result["passed"] for result in results) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
