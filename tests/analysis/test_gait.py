@@ -9,6 +9,7 @@ import pytest
 from assertions import close
 
 import pinred
+from pinred.analysis.gaits.arcs import PolynomialArc
 from pinred.common.arrays import Array
 
 Gait = pinred.Gait
@@ -188,3 +189,15 @@ def test_invalid_gaits_are_refused(make: object, message: str) -> None:
     """Invalid gaits are refused with the reason."""
     with pytest.raises(pinred.PinredError, match=message):
         make()  # type: ignore[operator]
+
+
+def test_limits_include_flat_tops() -> None:
+    """The second derivative of cos φ − ¼ cos 2φ is zero at its maximum, 3/4, a triple root."""
+    k = np.arange(1, 3)
+    for shift in np.linspace(0.0, 6.0, 25):
+        waves = np.array([1.0, -0.25]) * np.exp(1j * k * shift)
+        gait = Gait.fourier([0.0], waves.real[:, None], waves.imag[:, None])
+        assert gait.limits[0, 1] == pytest.approx(0.75, abs=1e-15)
+    quartic = PolynomialArc(1.0, np.array([[-1.0 / 81], [4.0 / 27], [-2.0 / 3], [4.0 / 3], [-1.0]]))
+    shapes = quartic.at(quartic.extremes())[0]  # −(s − 1/3)⁴
+    assert shapes.max() == pytest.approx(0.0, abs=1e-17)

@@ -1,4 +1,4 @@
-"""Best Fourier loops by SLSQP over samples of a connection, independent of pinred's optimiser.
+"""Best Fourier loops by SLSQP or Ipopt over samples, independent of pinred's optimiser.
 
 The connection gives twists ξ = −A ẋ and squared speeds ẋᵀMẋ at samples.  All else is computed here
 by other means: means over equidistant samples in place of Gauss nodes, quaternions of a Magnus
@@ -7,9 +7,11 @@ expansion, torques by spectral derivatives of momenta, and all gradients by cent
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
@@ -186,32 +188,34 @@ class Reference:
             d.append(np.zeros(2 * len(slopes)))
         return np.vstack(blocks), np.concatenate(d)
 
-    def best_of(self, starts: int, seed: int = 0) -> tuple[float, Array]:
+    def best_of(
+        self, starts: int, seed: int = 0, near: pinred.Gait | None = None
+    ) -> tuple[float, Array]:
         """Return the largest merit reached from random loops, and its unknowns.
 
         A loop whose merit with limits at samples is not above the best one is not refined.
+
+        Args:
+            starts: Number of starts.
+            seed: Seed of the random numbers.
+            near: A gait; if given, half of the starts are random changes of it by a tenth.
         """
         best = (-np.inf, np.zeros(0))
         for k in range(starts):
-            found = self.optimum(np.random.default_rng([seed, k]), above=best[0])
+            rng, z = np.random.default_rng([seed, k]), None
+            if near is not None and k % 2:
+                c = near.series.coefficients(self.harmonics)
+                c = c + 0.1 * np.abs(c).max() * rng.uniform(-1.0, 1.0, c.shape)
+                z = np.append(c.ravel(), np.full(self.free, near.period))
+            found = self.optimum(rng, above=best[0], z=z)
             best = max(best, found, key=lambda pair: pair[0])
         return best
 
-    def optimum(self, rng: np.random.Generator, above: float = -np.inf) -> tuple[float, Array]:
-        """Return merit and unknowns of a local optimum; −∞ if none was found."""
-        limit, planar = self.options["limits"], self.m == 2
-        decay = np.concatenate([[0.3], *[1.0 / np.arange(1.0, self.harmonics + 1) ** 2] * 2])
-        c = _SPREAD * limit * decay[:, None] * rng.uniform(-1.0, 1.0, (len(decay), self.m))
-        if planar:
-            c[1], c[1 + self.harmonics] = 0.6 * limit * np.eye(2)
-        z, target = np.append(c.ravel(), np.ones(self.free)), self.options.get("target")
-        numbers = self.numbers(z[None])[0]
-        backwards = numbers[0] > 0.0
-        if target is not None:
-            backwards = float((numbers[1:] + target) @ np.atleast_1d(target)) < 0.0
-        if backwards:
-            c[1 + self.harmonics :] *= -1.0
-        z = np.append(c.ravel(), np.full(self.free, 10.0))
+    def optimum(
+        self, rng: np.random.Generator, above: float = -np.inf, z: Array | None = None
+    ) -> tuple[float, Array]:
+        """Return merit and unknowns of a local optimum near z; −∞ if none was found."""
+        z = self.random(rng) if z is None else z
         count = 16 * (self.harmonics + 1)
         times, fine, fixed = (
             np.arange(count) / count,
@@ -241,6 +245,22 @@ class Reference:
                 z = self.shifted(z, self.best_shift(z))
             fixed = self.shifted(z, 0.25, derivative=True)[None]
         return self.checked(z, beyond.max() / self.options["limits"])
+
+    def random(self, rng: np.random.Generator) -> Array:
+        """Return the unknowns of a random loop, traversed in the direction of the objective."""
+        limit, planar = self.options["limits"], self.m == 2
+        decay = np.concatenate([[0.3], *[1.0 / np.arange(1.0, self.harmonics + 1) ** 2] * 2])
+        c = _SPREAD * limit * decay[:, None] * rng.uniform(-1.0, 1.0, (len(decay), self.m))
+        if planar:
+            c[1], c[1 + self.harmonics] = 0.6 * limit * np.eye(2)
+        z, target = np.append(c.ravel(), np.ones(self.free)), self.options.get("target")
+        numbers = self.numbers(z[None])[0]
+        backwards = numbers[0] > 0.0
+        if target is not None:
+            backwards = float((numbers[1:] + target) @ np.atleast_1d(target)) < 0.0
+        if backwards:
+            c[1 + self.harmonics :] *= -1.0
+        return np.append(c.ravel(), np.full(self.free, 10.0))
 
     def shifted(self, z: Array, shift: float, *, derivative: bool = False) -> Array:
         """Return the unknowns of the loop x(s + shift), or their derivative at shift 0."""
@@ -288,14 +308,22 @@ class Reference:
         size = abs(float(self.numbers(z[None])[0, 0])) or 1.0
         units = np.append(size, np.full(9, _TURN * self.options["limits"] ** 3))
 
+        targeted = self.options.get("target") is not None
+
+        def scaled(z: Array) -> Array:
+            """Return numbers of order 1; costs may differ by powers of ten, hence their log."""
+            found = self.numbers(z)
+            found = found / units[: found.shape[1]]
+            if targeted:
+                found[:, 0] = np.log(np.maximum(found[:, 0], 1e-30))
+            return np.asarray(found)
+
         def values(z: Array) -> Array:
-            found = self.numbers(z[None])[0]
-            return np.asarray(found / units[: len(found)])
+            return np.asarray(scaled(z[None])[0])
 
         def slopes(z: Array) -> Array:
-            found = self.numbers(np.vstack([z + steps, z - steps]))
-            found = (found[: len(z)] - found[len(z) :]).T / (2.0 * _STEP)
-            return np.asarray(found / units[: len(found), None])
+            found = scaled(np.vstack([z + steps, z - steps]))
+            return np.asarray((found[: len(z)] - found[len(z) :]).T / (2.0 * _STEP))
 
         start = z
         constraints: list[dict[str, Any]] = [
@@ -309,8 +337,87 @@ class Reference:
             constraints.append(
                 {"type": "eq", "fun": lambda z: values(z)[1:], "jac": lambda z: slopes(z)[1:]}
             )
+        if targeted:  # SLSQP makes no progress along curved equations
+            return _by_ipopt(values, slopes, z, (G, d, fixed))
         run = minimize(
             lambda z: values(z)[0], z, jac=lambda z: slopes(z)[0], method="SLSQP",
             constraints=constraints, options={"maxiter": 300, "ftol": 1e-12},
         )  # fmt: skip
         return np.asarray(run.x)
+
+
+class _Rates(ca.Callback):  # type: ignore[misc]
+    """The derivatives, (k, n), of a function of z, (n,); the second input is its value."""
+
+    def __init__(self, rates: Callable[[Array], Array], shape: tuple[int, int]) -> None:
+        ca.Callback.__init__(self)
+        self.rates, self.shape = rates, shape
+        self.construct("rates", {})
+
+    def get_n_in(self) -> int:
+        return 2
+
+    def get_sparsity_in(self, index: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self.shape[1 - index], 1)
+
+    def get_sparsity_out(self, _: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(*self.shape)
+
+    def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
+        return [ca.DM(self.rates(np.array(arguments[0]).ravel()))]
+
+
+class _Values(ca.Callback):  # type: ignore[misc]
+    """A function of z, (n,), with k values."""
+
+    def __init__(self, values: Callable[[Array], Array], rates: _Rates) -> None:
+        ca.Callback.__init__(self)
+        self.values, self.rates = values, rates
+        self.construct("values", {})
+
+    def get_sparsity_in(self, _: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self.rates.shape[1], 1)
+
+    def get_sparsity_out(self, _: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self.rates.shape[0], 1)
+
+    def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
+        return [ca.DM(self.values(np.array(arguments[0]).ravel()))]
+
+    def has_jacobian(self) -> bool:
+        return True
+
+    def get_jacobian(self, *_: Any) -> ca.Function:
+        return self.rates
+
+
+def _by_ipopt(
+    values: Callable[[Array], Array],
+    slopes: Callable[[Array], Array],
+    z: Array,
+    linear: tuple[Array, Array, Array],
+) -> Array:
+    """Return a minimum near z of values[0] with values[1:] = 0.
+
+    Args:
+        values: Objective and equations, (k,).
+        slopes: Their derivatives, (k, n).
+        z: Initial point, (n,).
+        linear: G, d and F of the linear constraints G z ≤ d and F z = constant.
+    Returns:
+        The last point, (n,).
+    """
+    G, d, fixed = linear
+    x, shape = ca.MX.sym("x", len(z)), slopes(z).shape
+    f = _Values(values, _Rates(slopes, shape))
+    value, rows = f(x), np.vstack([fixed, G])
+    options = {
+        "hessian_approximation": "limited-memory", "limited_memory_max_history": 30,
+        "mu_strategy": "adaptive", "tol": 1e-8, "constr_viol_tol": 1e-9, "max_iter": 300,
+        "bound_relax_factor": 0.0, "print_level": 0, "sb": "yes",
+    }  # fmt: skip
+    program = {"x": x, "f": value[0], "g": ca.vertcat(value[1:], ca.DM(rows) @ x)}
+    solve = ca.nlpsol("solve", "ipopt", program, {"ipopt": options, "print_time": False})
+    equal = np.concatenate([np.zeros(shape[0] - 1), fixed @ z])
+    run = solve(x0=z, lbg=np.append(equal, np.full(len(d), -np.inf)), ubg=np.append(equal, d))
+    return np.asarray(run["x"], dtype=float).ravel()

@@ -73,3 +73,42 @@ def test_peaks_from_rest_to_rest_equal_fine_grid() -> None:
         assert peaks.speed[WHEEL] == pytest.approx(speed, rel=1e-9)
         assert peaks.torque[WHEEL] == pytest.approx(torque, rel=1e-9)
         assert peaks.speed[WHEEL] >= speed * (1.0 - 1e-14)
+
+
+def test_peaks_of_flat_tops_are_exact() -> None:
+    """Between two maxima at a flat top the shape hardly bends; samples lead beside the larger."""
+    mean, cos, sin = -0.17540632, [0.54156227, 0.03457352], [-0.44351885, -0.17196621]
+    A = wheels()[0]
+    series = np.zeros((5, A.m))
+    series[:, WHEEL] = [mean, *cos, *sin]
+    a = 2.0 * np.pi * np.linspace(0.37, 0.41, 2_000_001)
+    x = mean + np.cos(np.outer(a, [1, 2])) @ cos + np.sin(np.outer(a, [1, 2])) @ sin
+    top = float(np.abs(x).max())
+    for factor in (1.0 - 1e-12, 1.0 + 1e-8):
+        limits = limits_of(A, {A.joints[WHEEL]: factor * top}, None, None)
+        loop = LimitedLoop(A, limits, series, T)
+        assert (len(loop.peaks_beyond(1.0).s) > 0) == (factor < 1.0)
+
+
+def test_peaks_are_relative_to_the_middle_of_the_range() -> None:
+    """A joint that stays above zero is limited from below."""
+    A = wheels()[0]
+    limits = limits_of(A, {A.joints[WHEEL]: [1.0, 3.0]}, None, None)
+    c = np.zeros((3, A.m))
+    c[0, WHEEL], c[1, WHEEL] = 1.9, 1.0
+    (kind,), (joint,), (sign,), (s,) = LimitedLoop(A, limits, c, T).peaks_beyond()
+    assert (kind, joint, sign, s) == (0, WHEEL, -1.0, 0.5)
+
+
+def test_largest_of_many_equal_peaks_is_found() -> None:
+    """The largest of nine peaks lies between samples, all of which are below other peaks."""
+    s = np.arange(512) / 512.0
+
+    def waves(s: Array) -> Array:
+        shift = 0.5 + 2e-4 * np.cos(2.0 * np.pi * (s - 0.5 / 512.0))
+        return (np.cos(18.0 * np.pi * (s - 0.5 / 512.0)) * shift)[:, None]
+
+    position, size = extremes.find_extremes(waves, s)
+    assert np.abs(waves(s)).argmax() not in (0, 1)
+    assert float(position[0]) == pytest.approx(0.5 / 512.0, abs=1e-7)
+    assert float(size[0]) == pytest.approx(0.5002, rel=1e-12)

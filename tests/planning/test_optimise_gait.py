@@ -19,7 +19,7 @@ from three_links import CENTRES, LENGTH, LINKS
 import pinred
 from pinred.analysis.phases.path_basis import fourier_rows
 from pinred.common.arrays import Array
-from pinred.planning.optimisation import gait_search, nonlinear_program, optimise
+from pinred.planning.optimisation import gait_search, nonlinear_program, optimise, transcription
 from pinred.planning.optimisation.gait_search import (
     TargetMissed,
     finish,
@@ -38,6 +38,7 @@ from pinred.planning.optimisation.nonlinear_program import (
 from pinred.planning.optimisation.objective import COSTS, axis_aim, target_aim
 from pinred.planning.optimisation.transcription import Task, problem_of
 
+FEW = 2300  # evaluations, of about 1600 with both safeguards and at least 2900 without one
 TURN = 0.033787199534  # rotation of three rods by half of the square |α| ≤ 1 [rad]
 RODS = {name: pinred.Rod(LENGTH, 2.0, 1.0, centre=(CENTRES[name], 0.0, 0.0)) for name in LINKS}
 
@@ -57,7 +58,7 @@ def test_optimal_stroke_of_purcells_swimmer_exceeds_published_one() -> None:
     """Displacement per metric length, above the published 0.11094879."""
     best = pinred.optimise_gait(swimmer(), objective="displacement", harmonics=5, starts=5)
     first = best.optima[0]
-    assert first.found >= 4
+    assert first.found >= 3  # of 5; large perturbations lead two starts elsewhere
     assert 0.11119 < best.merit < 0.1112
     assert abs(first.winding or 0.0) == 1.0
     assert first.residual < 1e-5
@@ -116,7 +117,7 @@ def test_best_gait_certificate_agrees_with_aba_and_rnea() -> None:
     for name, size in (("limits", 1e-2), ("speeds", 3.0), ("torques", 1e-3)):
         assert 0.0 <= best.optima[0].margins[name] <= size
     assert "verdict" not in str(best)
-    assert re.search(r"time +\S+ +T, the period", str(best))
+    assert re.search(r"time \[s\] +\S+ +T, the period", str(best))
 
 
 @pytest.mark.by_hand
@@ -124,9 +125,30 @@ def test_limits_hold_between_sample_times(monkeypatch: pytest.MonkeyPatch) -> No
     """Without checks at the peaks the limits are violated."""
     best = pinred.optimise_gait(rods(), cost="power", limits=1.0, harmonics=3, starts=1)
     assert np.abs(best.gait.limits).max() <= 1.0
-    monkeypatch.setattr(LimitedLoop, "peaks_beyond", lambda _: Times(*np.zeros((4, 0))))
+    monkeypatch.setattr(LimitedLoop, "peaks_beyond", no_peaks)
+    monkeypatch.setattr(optimise, "margins", lambda *_: {"limits": 0.0})
     loose = pinred.optimise_gait(rods(), cost="power", limits=1.0, harmonics=3, starts=1)
     assert np.abs(loose.gait.limits).max() > 1.0001
+
+
+def no_peaks(*_: Any) -> Times:
+    """Return no peaks beyond limits."""
+    return Times(*np.zeros((4, 0)))
+
+
+def test_loop_beyond_its_limits_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The exact margins of the loop are checked at the end, independently of the search."""
+    monkeypatch.setattr(LimitedLoop, "peaks_beyond", no_peaks)
+    with pytest.raises(pinred.NoOptimum, match="exceeds its limits"):
+        pinred.optimise_gait(rods(), cost="power", limits=1.0, harmonics=1, starts=1)
+
+
+@pytest.mark.parametrize("options", [{"harmonics": 1}, {"vertices": 8, "cost": None}])
+def test_limits_are_not_exceeded_by_round_off(options: dict[str, Any]) -> None:
+    """Loops and polygons end at a small distance inside their active limits."""
+    limits = {"alpha1": 0.7, "alpha2": (-0.3, 0.9)}
+    best = pinred.optimise_gait(rods(), **options, limits=limits, starts=1)
+    assert 0.0 < best.margins["limits"] < 2e-8
 
 
 def test_optimum_within_limits_satisfies_kkt_conditions_of_ellipses() -> None:
@@ -376,6 +398,46 @@ def test_curved_equations_allow_long_steps() -> None:
     assert count[0] < 60
 
 
+def _without(name: str) -> Any:
+    """Return a case of the name of a safeguard, run by hand."""
+    return pytest.param(name, marks=pytest.mark.by_hand)
+
+
+@pytest.mark.parametrize("removed", ["", _without("_gains"), _without("_newton_units")])
+def test_targets_in_space_take_few_evaluations(
+    removed: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Runs continue from better points beyond an equation, and begin with the Hessian if slow."""
+    count, lift = [0], transcription.path_lift
+    if removed:
+        monkeypatch.setattr(nonlinear_program, removed, lambda *_: None)
+
+    def counted(*arguments: Any) -> Any:
+        count[0] += 1
+        return lift(*arguments)
+
+    monkeypatch.setattr(transcription, "path_lift", counted)
+    cat, target = pinred.load("falling_cat"), [0.05 * 0.9**3, 0.0, 0.0]
+    best = pinred.optimise_gait(
+        pinred.Connection.mechanical(cat), objective="target", target=target, limits=0.9,
+        harmonics=2, starts=4,
+    )  # fmt: skip
+    assert best.cost == pytest.approx(0.05260171438, rel=1e-6)
+    assert (count[0] < FEW) == (not removed)
+
+
+def test_undefined_points_are_no_gain() -> None:
+    """A point whose values or derivatives are not finite is not accepted."""
+
+    def evaluate(z: Array) -> tuple[Array, Array]:
+        log = np.log(z[0]) if z[0] > 0.0 else np.nan
+        return np.array([2.0 + log, 0.0]), np.array([[1.0 / z[0]], [0.0]])
+
+    problem = Problem(1, evaluate, np.zeros((0, 1)), np.zeros(1), np.zeros(1))
+    assert nonlinear_program._gains(problem, np.ones(1), np.full(1, 0.5))
+    assert not nonlinear_program._gains(problem, np.ones(1), np.full(1, -1.0))
+
+
 def test_search_with_torque_limits_begins_in_a_small_box(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first box is 0.1 wide with limits of torque, and infinite without."""
     A, radii = rods(), []
@@ -443,7 +505,7 @@ def test_further_starts_reach_an_optimum_that_the_first_misses() -> None:
 def test_bound_on_cost_is_used_and_result_beats_random_loops() -> None:
     """The bound is active, and random loops of this length rotate less."""
     best = pinred.optimise_gait(rods(), most=0.2, harmonics=1, starts=1)
-    assert best.cost <= 0.2 + 1e-9
+    assert 0.2 - 4e-9 < best.cost < 0.2
     rng, A = np.random.default_rng(0), rods()
     for _ in range(20):
         mean, cos, sin = rng.uniform(-1.5, 1.5, (3, 2))

@@ -19,6 +19,7 @@ from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 
 TAU = 2.0 * np.pi
+_OFF_CIRCLE = 1e-3  # distance from the unit circle of roots that may be multiple roots on it
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,17 +150,13 @@ class FourierArc(Arc):
         return coefficients
 
     def extremes(self) -> Array:
-        """Return the zeros of each joint's derivative, as roots of a polynomial in e^{iφ}."""
+        """Return both ends, 0 and 1, and the zeros of each joint's derivative."""
         parameters = [0.0, 1.0]
-        k = np.arange(1, len(self.cos) + 1)
         rises = np.broadcast_to(self.rise / TAU, self.mean.shape)
         for c, s, rise in zip(self.cos.T, self.sin.T, rises, strict=True):
-            half = (
-                0.5 * k * (s + 1j * c)
-            )  # coefficients of e^{ikφ} in the derivative; those of e^{−ikφ} are conjugate
-            roots = np.roots(np.concatenate([half[::-1], [rise], half.conj()]))
-            on_circle = roots[np.abs(np.abs(roots) - 1.0) < 1e-6]
-            candidates = (np.angle(on_circle) - self.start) / (self.end - self.start)
+            candidates = (stationary_angles(c, s, float(rise)) - self.start) / (
+                self.end - self.start
+            )
             period = TAU / abs(self.end - self.start)
             candidates = candidates % period
             while (candidates <= 1.0).any():
@@ -206,9 +203,28 @@ class PolynomialArc(Arc):
         parameters = [0.0, 1.0]
         for c in self.coefficients.T:
             roots = np.roots((np.arange(len(c)) * c)[:0:-1])
-            real = np.asarray(roots[np.abs(roots.imag) < 1e-9].real, dtype=float)
-            parameters += [s for s in real.tolist() if 0.0 < s < 1.0]
+            # Complex roots as well: round-off makes a multiple root complex.
+            parameters += [s for s in roots.real.tolist() if 0.0 < s < 1.0]
         return np.array(parameters)
+
+
+def stationary_angles(cos: Array, sin: Array, rise: float = 0.0) -> Array:
+    """Return the angles φ at which Σ_k cos_k cos kφ + sin_k sin kφ + rise φ is stationary.
+
+    They are roots z = e^{iφ} of a polynomial.  Round-off moves a multiple root off the unit circle,
+    so that angles of other roots near the circle are returned as well.
+
+    Args:
+        cos: Cosine coefficients, (harmonics,).
+        sin: Sine coefficients, (harmonics,).
+        rise: Slope of the linear term.
+    Returns:
+        The angles, (K,) [rad].
+    """
+    # Coefficients of e^{ikφ} in the derivative; those of e^{−ikφ} are conjugate.
+    half = 0.5 * np.arange(1, len(cos) + 1) * (sin + 1j * cos)
+    roots = np.roots(np.concatenate([half[::-1], [rise], half.conj()]))
+    return np.asarray(np.angle(roots[np.abs(np.abs(roots) - 1.0) < _OFF_CIRCLE]))
 
 
 def raised(arcs: Sequence[Arc], rise: Array) -> Sequence[Arc]:

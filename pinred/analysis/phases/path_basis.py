@@ -290,11 +290,9 @@ def by_coefficients(basis: PathBasis, *rows: Array) -> Array:
         (k, K, m).
     """
     bases = (basis.values, basis.slopes, basis.bends)
-    total = sum(
-        np.tensordot(functions.T, derivatives, 1)
-        for functions, derivatives in zip(bases, rows, strict=False)
-    )
-    return np.asarray(np.swapaxes(total, 0, 1))
+    used = [functions.T for functions, _ in zip(bases, rows, strict=False)]
+    total = np.hstack(used) @ np.concatenate(rows).reshape(-1, rows[0].shape[1] * rows[0].shape[2])
+    return np.asarray(np.swapaxes(total.reshape(-1, *rows[0].shape[1:]), 0, 1))
 
 
 def sum_over_nodes(basis: PathBasis, m: int, derivatives: Array) -> Array:

@@ -235,7 +235,7 @@ def loop_to_target(task: Task, path: Path, gait: Gait) -> Gait:
     nearest = replace(
         problem, evaluate=evaluate, lower=problem.lower[k - 1 :], upper=problem.upper[k - 1 :]
     )
-    z = minimum(nearest, search.unknowns(gait)).z
+    z = minimum(nearest, search.unknowns(gait), once=True).z
     deviation = float(np.linalg.norm(problem.at(z)[0][1:k]))
     if not deviation <= _MISSED:
         raise TargetMissed(deviation)

@@ -8,25 +8,25 @@ the loop, also where two extremes merge to a flat top.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...analysis.connections.connection import Connection
+from ...analysis.gaits.arcs import stationary_angles
 from ...analysis.phases.path_basis import fourier_rows
 from ...common.arrays import Array
-from .limits import Limits
+from .limits import Limits, find_peaks, torque_samples
 from .objective import torque_order, torque_slopes, torques
 
 _PER_HARMONIC = 8  # initial checks per harmonic and period, of each quantity and sign
 # Further checks around a peak that exceeds its limit, as parts of the time to the next check.
 _CLOSER = 2.0 ** -np.array([1.0, 3.0, 5.0])
-_SAMPLES = 64  # samples per harmonic and period from which peaks are located
 _TORQUE = 2  # kind of quantity; kinds 0 and 1 are shapes and speeds
-_REFINEMENTS = 4  # number of parabolas that refine a peak, the first through samples
-_NARROWER = 0.1  # width of each parabola, relative to the previous one
+_ROUND_OFF = 1e-9  # distance to its limit below which a peak counts as beyond it
+_FLAT = 1e-6  # relative bend below which a minimum may be a maximum by round-off
 
 
 class Times(NamedTuple):
@@ -226,31 +226,42 @@ class LimitedLoop:
         k = 2.0 * np.pi * np.arange(1.0, self.harmonics + 1.0)
         return np.asarray(slope_rows @ (-(np.concatenate([[0.0], k, k])[:, None] ** 2) * self.c))
 
-    def peaks_beyond(self, level: float = 1.0) -> Times:
+    def peaks_beyond(self, level: float = 1.0 - _ROUND_OFF) -> Times:
         """Return the local maxima of |q| that exceed a level."""
         found = [Times(*(np.zeros(0, dtype) for dtype in (int, int, float, float)))]
-        count = _SAMPLES * (self.harmonics + 1)
         for kind, size in enumerate((self.limits.reach, self.limits.speed, self.limits.torque)):
             if not np.isfinite(size).any():
                 continue
-            q = self.scaled(kind, np.arange(count) / count)
-            inner, before, after = np.abs(q), np.roll(np.abs(q), 1, 0), np.roll(np.abs(q), -1, 0)
-            bound = inner + np.abs(after - before) + np.abs(after - 2.0 * inner + before)
-            k, joint = np.nonzero((inner >= before) & (inner >= after) & (bound > level))
-            if not len(k):
-                continue
-            sign, s, step = np.sign(q[k, joint]), k / count, 1.0 / count
-            each = np.arange(len(k))[:, None]
-            for _ in range(_REFINEMENTS):
-                points = s[:, None] + step * np.array([-1.0, 0.0, 1.0])
-                at_points = self.scaled(kind, points.ravel()).reshape(*points.shape, -1)
-                left, middle, right = sign * at_points[each, [0, 1, 2], joint[:, None]].T
-                bend, slope = left - 2.0 * middle + right, 0.5 * (right - left)
-                vertex = np.divide(-slope, bend, out=np.zeros_like(s), where=bend < 0.0)
-                s = s + step * np.clip(vertex, -1.0, 1.0)
-                step *= _NARROWER
-            beyond = sign * self.scaled(kind, s)[each[:, 0], joint] > level
-            found.append(
-                Times(np.full(beyond.sum(), kind), joint[beyond], sign[beyond], s[beyond] % 1.0)
-            )
+            if kind == _TORQUE:
+                s = torque_samples(self.harmonics)
+                q = partial(self.scaled, kind)
+                joint, s, _ = find_peaks(q, np.hstack([s[-1] - 1.0, s, 1.0]), level)
+                value = q(s)[np.arange(len(s)), joint]
+            else:
+                joint, s, value = self._stationary(kind)
+            beyond = np.abs(value) > level
+            kinds = np.full(beyond.sum(), kind)
+            found.append(Times(kinds, joint[beyond], np.sign(value[beyond]), s[beyond] % 1.0))
         return Times(*(np.concatenate(each) for each in zip(*found, strict=True)))
+
+    def _stationary(self, kind: int) -> tuple[NDArray[np.int_], Array, Array]:
+        """Return joints, times and values q of the maxima of |shape| or |speed|, (N,) each.
+
+        Minima are omitted, unless they almost coincide with a maximum at a flat top.
+        """
+        k = 2.0 * np.pi * np.arange(1, self.harmonics + 1)[:, None]
+        mean, cos, sin = self.c[0] - self.limits.middle, *np.split(self.c[1:], 2)
+        if kind:
+            mean, cos, sin = 0.0 * mean, k * sin, -k * cos
+        joints, angles, values = [], [], []
+        for j, wave in enumerate((cos - 1j * sin).T / self.scale(kind)[:, None]):
+            angle = stationary_angles(wave.real, -wave.imag)
+            turns = np.exp(1j * np.outer(angle, np.arange(1, self.harmonics + 1)))
+            value = mean[j] / self.scale(kind)[j] + (turns @ wave).real
+            bends = k[:, 0] ** 2 * wave
+            maximum = np.sign(value) * (turns @ bends).real > -_FLAT * np.abs(bends).sum()
+            joints.append(np.full(maximum.sum(), j))
+            angles.append(angle[maximum])
+            values.append(value[maximum])
+        times = np.concatenate(angles) / (2.0 * np.pi)
+        return np.concatenate(joints), times, np.concatenate(values)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ...analysis.connections.connection import Connection
 from ...analysis.connections.connection_source import robot_of
@@ -152,9 +152,39 @@ def _pair(value: ArrayLike, what: str) -> Array:
     return np.array([-float(array), float(array)])
 
 
-_TOPS = 4  # number of largest samples of each function that are refined
 _POINTS = 9  # number of points of the local grid
 _ROUNDS = 10  # number of refinements; each refines the grid by a factor of four
+
+
+def find_peaks(
+    values: Callable[[Array], Array], s: Array, level: Array | float
+) -> tuple[NDArray[np.int_], Array, Array]:
+    """Find the local maxima of |f| above a level for m functions f, including between samples.
+
+    Args:
+        values: Vectorised functions f: s (N,) → (N, m).
+        s: Equidistant samples, (N,), fine enough that three consecutive samples enclose at most one
+            maximum.  Maxima at the first and the last sample are not included.
+        level: The level, or one for each function, (m,).
+    Returns:
+        Indices of the functions, positions and absolute values of the maxima, (K,) each.
+    """
+    size = np.abs(values(s))
+    inner, before, after = size[1:-1], size[:-2], size[2:]
+    # A parabola through three samples exceeds the middle one by less than both differences.
+    bound = inner + np.abs(after - before) + np.abs(after - 2.0 * inner + before)
+    sample, column = np.nonzero((inner >= before) & (inner >= after) & (bound > level))
+    position, peak = s[1 + sample], inner[sample, column]
+    step, offsets, row = s[1] - s[0], np.linspace(-1.0, 1.0, _POINTS), np.arange(len(sample))
+    for _ in range(_ROUNDS if len(sample) else 0):
+        points = position[:, None] + step * offsets
+        at_points = np.abs(values(points.ravel())).reshape(*points.shape, -1)
+        at_points = at_points[row, :, column]
+        best = at_points.argmax(axis=1)
+        position, peak = points[row, best], at_points[row, best]
+        step *= 2.0 / (_POINTS - 1)
+    above = peak > np.broadcast_to(level, size.shape[1:])[column]
+    return column[above], position[above], peak[above]
 
 
 def find_extremes(values: Callable[[Array], Array], s: Array) -> tuple[Array, Array]:
@@ -163,30 +193,17 @@ def find_extremes(values: Callable[[Array], Array], s: Array) -> tuple[Array, Ar
     Args:
         values: Vectorised functions: s (N,) → (N, m).  They must be defined one sample interval
             beyond both ends.
-        s: Increasing samples, (N,), fine enough that three consecutive samples enclose at most
-            one maximum.
+        s: Equidistant samples, (N,); see `find_peaks`.
     Returns:
         Positions, (m,), and absolute values, (m,), of the maxima.
     """
-    sampled = np.abs(values(s))
-    tops = np.argpartition(sampled, -min(_TOPS, len(s)), axis=0)[-_TOPS:].T  # (m, tops)
-    sample, sample_size = s[sampled.argmax(axis=0)], sampled.max(axis=0)
-    column = np.arange(sampled.shape[1])
-    position, sizes = s[tops], np.take_along_axis(sampled.T, tops, 1)
-    step = float(np.diff(s).max())
-    offsets = np.linspace(-1.0, 1.0, _POINTS)
-    for _ in range(_ROUNDS):
-        points = position[..., None] + step * offsets  # (m, tops, points)
-        at_points = np.abs(values(points.ravel())).reshape(*points.shape, -1)
-        at_points = at_points[column, ..., column]
-        best = at_points.argmax(axis=2)[..., None]
-        position = np.take_along_axis(points, best, 2)[..., 0]
-        sizes = np.take_along_axis(at_points, best, 2)[..., 0]
-        step *= 2.0 / (_POINTS - 1)
-    first = sizes.argmax(axis=1)
-    better = sizes[column, first] > sample_size
-    refined = np.where(better, sizes[column, first], sample_size)
-    return np.where(better, position[column, first], sample), refined
+    size = np.abs(values(s))
+    position, extreme = s[size.argmax(axis=0)], size.max(axis=0)
+    step = s[1] - s[0]
+    column, peaks, sizes = find_peaks(values, np.hstack([s[0] - step, s, s[-1] + step]), extreme)
+    for k in np.argsort(sizes):  # the largest one last
+        position[column[k]], extreme[column[k]] = peaks[k], sizes[k]
+    return position, extreme
 
 
 _TIMES = 1024  # smallest number of torque samples in a cycle
@@ -247,6 +264,12 @@ def _rate_gait(gait: Gait) -> Gait:
     return Gait((replace(arc, mean=0.0 * arc.mean, cos=k * arc.sin, sin=-k * arc.cos),))
 
 
+def torque_samples(harmonics: int) -> Array:
+    """Return times s = t/T in [0, 1), (N,), at which torques are sampled to find their peaks."""
+    count = max(_TIMES, _PER_HARMONIC * harmonics)
+    return np.arange(count) / count
+
+
 def peak_torques(connection: Connection, gait: Gait) -> tuple[Array, Array]:
     """Compute the largest torque of each joint of a Fourier gait.
 
@@ -259,12 +282,12 @@ def peak_torques(connection: Connection, gait: Gait) -> tuple[Array, Array]:
         InputError: The gait is not one Fourier series.
     """
     arc = gait.series
-    turn, count = arc.end - arc.start, max(_TIMES, _PER_HARMONIC * len(arc.cos))
+    turn = arc.end - arc.start
     coefficients = np.vstack([arc.mean[None], arc.cos, arc.sin])
 
     def tau(s: Array) -> Array:
         rows = fourier_rows(len(arc.cos), s, start=arc.start, turn=turn)
         return torques(connection, *(row @ coefficients for row in rows))
 
-    s, peaks = find_extremes(tau, np.arange(count) / count)
+    s, peaks = find_extremes(tau, torque_samples(len(arc.cos)))
     return s % 1.0, peaks / gait.period ** torque_order(connection)

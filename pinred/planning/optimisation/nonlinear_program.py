@@ -24,7 +24,7 @@ _SMALLEST = 1e-5  # size of the smallest box, relative to its centre
 _EDGE = 0.999  # part of the radius of its box at which a run has reached the edge
 _LESS = 0.5  # a run from a point that violates constraints succeeds if it leaves this part
 _VIOLATION = 1e-8  # largest violation of a constraint at a minimum
-_LONGEST = 40  # largest number of iterations of a run with equations
+_LONGEST = 40  # smallest limit of the iterations of a run
 _MISSES = 3  # number of runs without a feasible point after which the search ends
 _SHARP_STEPS = 10  # largest number of iterations of a run with the Hessian
 _STEP_SIZE = 0.1  # half width of its box, in the units of the Hessian
@@ -76,11 +76,14 @@ class Problem:
         """Whether both bounds of each constraint are equal, (k + l,)."""
         return np.asarray(self.lower == self.upper)
 
+    def beyond(self, z: Array) -> Array:
+        """Return the violations of the constraints, (k + l,); NaN where one is not defined."""
+        values = self.at(z)[0][1:]
+        return np.maximum(np.maximum(self.lower - values, values - self.upper), 0.0)
+
     def violation(self, z: Array) -> float:
         """Return the largest violation of a constraint; NaN if one is not defined."""
-        values = self.at(z)[0][1:]
-        beyond = np.maximum(self.lower - values, values - self.upper)
-        return float(np.max(beyond, initial=0.0))
+        return float(np.max(self.beyond(z), initial=0.0))
 
 
 @dataclass(frozen=True)
@@ -113,9 +116,10 @@ def minimum(
     """Find a local minimum near an initial point.
 
     SLSQP also ends where a line search makes no progress.  Runs are therefore repeated, each with
-    a new approximation of the Hessian, until a run gains nothing.  If a run leaves the feasible
-    set, the next one starts again, in a smaller box around its start.  A failure raises no error;
-    check the residual to see whether the final iterate is a minimum.
+    a new approximation of the Hessian, until a run gains nothing.  After a run that used all its
+    iterations, and with equations, the next one begins with the Hessian.  If a run leaves the
+    feasible set without a gain, the next one starts again, in a smaller box around its start.
+    A failure raises no error; check the residual to see whether the final iterate is a minimum.
 
     Args:
         problem: The problem.
@@ -126,17 +130,19 @@ def minimum(
     Returns:
         The result at the final iterate.
     """
-    z, left, status, misses = start, most, "", 0
+    z, left, status, misses, units = start, most, "", 0, None
     longest = max(_LONGEST, 2 * problem.size)
     for _ in range(_RUNS):
         # Boxes are relative to the current point: below its round-off, both edges would be equal.
         size = max(float(np.abs(z).max()), 1e-300)
-        run = _run(problem, z, min(left, longest), radius=radius)
+        box = radius if units is None else radius / np.linalg.norm(units, axis=0)
+        run = _run(problem, z, min(left, longest), radius=box, units=units)
         trial, status, left = run.x, str(run.message), left - int(run.nit)
         value, violation = problem.at(z)[0][0], problem.violation(z)
         gain, left_over = value - problem.at(trial)[0][0], problem.violation(trial)
         feasible, at_edge = violation <= _VIOLATION, np.abs(trial - z).max() > _EDGE * radius
-        if not left_over <= max(_VIOLATION, _LESS * violation):
+        restored = left_over <= max(_VIOLATION, _LESS * violation)
+        if not (restored or _gains(problem, z, trial)):
             radius = _SMALLER * min(radius, size)
             misses += not feasible
         else:
@@ -148,8 +154,25 @@ def minimum(
             radius /= _SMALLER if feasible else 1.0
         if left <= 0 or radius < _SMALLEST * size or misses >= _MISSES:
             break
+        slow = problem.equations.any() and run.nit >= longest
+        defined = 0.0 < abs(problem.at(z)[0][0]) < np.inf
+        units = _newton_units(problem, z) if slow and defined else None
     value = float(problem.at(z)[0][0])
     return Minimum(z, value, status, most - left, kkt_residual(problem, z))
+
+
+def _gains(problem: Problem, z: Array, trial: Array) -> bool:
+    """Return whether a point lowers the objective by more than its violations are worth.
+
+    Runs along curved equations often end at points that are better but slightly beyond them.
+    """
+    (before, _), (after, slopes) = problem.at(z), problem.at(trial)
+    defined = np.isfinite(after).all() and np.isfinite(slopes).all() and after[0] != 0.0
+    if not (problem.equations.any() and defined):
+        return False
+    price = abs(after[0]) * np.abs(_multipliers(problem, trial, _NEAR)[1])
+    gain = before[0] - after[0] + price @ (problem.beyond(z) - problem.beyond(trial))
+    return bool(gain > _GAIN * abs(before[0]))
 
 
 def sharpened(problem: Problem, best: Minimum) -> Minimum:
@@ -165,7 +188,7 @@ def sharpened(problem: Problem, best: Minimum) -> Minimum:
         if not _SHARP < best.residual < np.inf:
             break
         units = _newton_units(problem, best.z)
-        run = _run(problem, best.z, _SHARP_STEPS, radius=_STEP_SIZE, units=units)
+        run = _run(problem, best.z, _SHARP_STEPS, radius=_STEP_SIZE, units=units, tolerance=_FINE)
         residual = kkt_residual(problem, run.x)
         if not residual < best.residual:
             break
@@ -197,7 +220,13 @@ def _newton_units(problem: Problem, z: Array) -> Array:
 
 
 def _run(
-    problem: Problem, start: Array, most: int, *, radius: float = np.inf, units: Array | None = None
+    problem: Problem,
+    start: Array,
+    most: int,
+    *,
+    radius: Array | float = np.inf,
+    units: Array | None = None,
+    tolerance: float = _TOLERANCE,
 ) -> Any:
     """Run SLSQP once, with the objective scaled by its gradient, or by its value with units.
 
@@ -209,8 +238,10 @@ def _run(
         problem: The problem.
         start: Initial point, (n,).
         most: Maximum number of iterations.
-        radius: Half width of a box around the start, in the unknowns of the run.
+        radius: Half width of a box around the start, in the unknowns of the run, or half widths,
+            (n,).
         units: Units U of the unknowns y with z = start + U y, or None for the unknowns z.
+        tolerance: SLSQP's tolerance.
     Returns:
         SciPy's result.
     """
@@ -225,10 +256,9 @@ def _run(
     if fixed.any() and size > 0.0:
         weights = _multipliers(problem, start, _NEAR)[1][fixed]
     if units is None:
-        first, tolerance, units = start, _TOLERANCE, np.eye(len(start))
-        origin = np.zeros(len(start))
+        first, origin, units = start, np.zeros(len(start)), np.eye(len(start))
     else:
-        first, tolerance, origin, scale = np.zeros(len(start)), _FINE, start, 1.0 / size
+        first, origin, scale = np.zeros(len(start)), start, 1.0 / size
 
     @lru_cache(maxsize=1)
     def parts(key: bytes) -> tuple[Array, ...]:
@@ -253,7 +283,8 @@ def _run(
     constraints = [
         {"type": kind, "fun": pick(k), "jac": pick(k + 1)} for kind, used, k in kinds if used
     ]
-    bounds = np.stack([first - radius, first + radius], axis=1) if radius < np.inf else None
+    boxed = np.all(radius < np.inf)
+    bounds = np.stack([first - radius, first + radius], axis=1) if boxed else None
     run = minimize(
         pick(0), first, jac=pick(1), method="SLSQP", constraints=constraints, bounds=bounds,
         options={"maxiter": max(most, 1), "ftol": tolerance},

@@ -40,7 +40,7 @@ from .objective import (
     check_cost,
     target_aim,
 )
-from .transcription import CONVEX, Path, Task, problem_of
+from .transcription import CONVEX, INSIDE, Path, Task, problem_of
 
 _PIECES = 1  # number of quadrature segments of order 16 for each edge
 
@@ -337,9 +337,9 @@ def _initial_loop(task: Task, harmonics: int, rng: np.random.Generator) -> Gait:
     return gait
 
 
-def _winding(gait: Gait) -> float:
+def _winding(gait: Gait, centre: Array | None = None) -> float:
     try:
-        return gait.winding()
+        return gait.winding(centre=centre)
     except InputError:  # the loop passes through its centre, like a figure of eight
         return 0.0
 
@@ -350,10 +350,12 @@ def _verify(search: Search, best: Minimum, gait: Gait, turns: float | None) -> O
     residual = best.residual / (CONVEX if isinstance(task.aim, TargetAim) else 1)
     if not residual <= RESIDUAL:
         raise StartFailed(f"no optimum was reached in {best.iterations} iterations ({best.status})")
+    distances = margins(task.connection, gait, task.limits)
+    if not min(distances.values()) >= 0.0:
+        raise StartFailed("the loop still exceeds its limits")
     return Optimum(
-        **vars(measure(search, best, gait)), residual=residual,
-        margins=margins(task.connection, gait, task.limits), winding=turns,
-    )  # fmt: skip
+        **vars(measure(search, best, gait)), residual=residual, margins=distances, winding=turns
+    )
 
 
 def _optimise_polygon(task: Task, vertices: int, rng: np.random.Generator) -> Optimum:
@@ -372,7 +374,8 @@ def _optimise_polygon(task: Task, vertices: int, rng: np.random.Generator) -> Op
             path = polygon_path(vertices, clockwise=True)
     problem = problem_of(task, path)
     # Corners are within the limits, and distances from the centre are not negative.
-    low, high = (np.tile(each, vertices) for each in task.limits.shape.T)
+    middle, reach = task.limits.middle, (1.0 - INSIDE) * task.limits.reach
+    low, high = (np.tile(limit, vertices) for limit in (middle - reach, middle + reach))
     problem = replace(
         problem, rows=np.vstack([problem.rows, path.matrix, np.eye(len(y))[2:]]),
         lower=np.concatenate([problem.lower, low, np.zeros(vertices)]),
@@ -380,4 +383,6 @@ def _optimise_polygon(task: Task, vertices: int, rng: np.random.Generator) -> Op
     )  # fmt: skip
     best = sharpened(problem, minimum(problem, y))
     gait = polygon_gait(path, best.z, task.period)
-    return _verify(Search(task, path), best, gait, _winding(gait))
+    # Triangles may pass through the middle of their ranges, but not through their mean corner.
+    turns = _winding(gait, path.coefficients(best.z).mean(axis=0))
+    return _verify(Search(task, path), best, gait, turns)

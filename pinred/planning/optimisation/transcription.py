@@ -32,7 +32,7 @@ from .objective import (
     cost_of,
 )
 
-_INSIDE = 1.5e-8  # relative margin of checks inside the limits, which peaks between them may use
+INSIDE = 1.5e-8  # relative margin to limits and bounds, above the accepted violation
 # Power of the size of a loop that is minimised for a target.  Small loops reach targets in
 # proportion to the square of their size, so that smaller powers are not convex in the target.
 CONVEX = 4
@@ -270,8 +270,8 @@ def _bounds(task: Task, path: Path) -> tuple[Array, Array]:
     lower, upper = [np.zeros(len(residual))], [np.zeros(len(residual))]
     if task.most is not None:
         lower.append(np.array([-np.inf]))
-        upper.append(np.ones(1))
+        upper.append(np.array([1.0 - INSIDE]))
     if path.checks is not None:
         lower.append(np.full(len(path.checks.times.s), -np.inf))
-        upper.append(np.full(len(path.checks.times.s), 1.0 - _INSIDE))
+        upper.append(np.full(len(path.checks.times.s), 1.0 - INSIDE))
     return np.concatenate(lower), np.concatenate(upper)
