@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 import time
 from dataclasses import replace
@@ -126,6 +127,20 @@ def test_second_reader_compares_balls(tmp_path: Path) -> None:
     file = write_robot(tmp_path, mjcf(body(f"<freejoint/>{head}</body>{ARM}")))
     result = differences(pinred.load(file), file, "mjcf", None)
     assert max(result.places, result.mass, result.forces) < 1e-12
+
+
+@pytest.mark.parametrize("error", [0.0, 1e-8])
+def test_second_reader_holds_joints_as_mujoco_does(error: float, tmp_path: Path) -> None:
+    """An equality holds a joint with a reference; a wrong value of pinred's is detected."""
+    held = '<body name="held" pos="0 0 .3"><joint name="k" axis="1 0 0" ref="20"/>' + MASS
+    text = mjcf(body(f"<freejoint/>{held}</body>{ARM}")).replace(
+        "</mujoco>", '<equality><joint joint1="k" polycoef="0.3 0 0 0 0"/></equality></mujoco>'
+    )
+    file = write_robot(tmp_path, text)
+    value = math.radians(20.0) + 0.3 + error
+    result = differences(pinred.load(file, lock={"k": value}), file, "mjcf", None)
+    assert (result.mass < 1e-12) == (result.places < 1e-12) == (error == 0.0)
+    assert pinred.load(file).contents.locked.frozen == pytest.approx({"k": value - error}, abs=1e-15)
 
 
 @pytest.mark.parametrize("what", ["gravity", "axis", "place"])
