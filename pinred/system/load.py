@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -54,7 +55,7 @@ from .read_urdf import UrdfRobot, read_urdf
 from .rebuild import rebuild, without_mimics
 from .robot_description import Model
 from .robot_file_contents import Contents, Coupling, LeftOut, Origin
-from .robot_files import is_mjcf, outermost, read_text, text_in_file
+from .robot_files import is_mjcf, lines_in_messages, outermost, read_text, text_in_file
 from .split_joints import split_joints
 from .stated_limits import stated_limits
 from .system import System
@@ -200,17 +201,14 @@ def load(
         requested_loops(loops, source),
     )
     folders = mesh_folders(meshes)
-    if text is None:
-        system = _load_source(source, requested, locked, new_gravity, root, merged, folders, added)
+    with (
+        text_in_file(text) if text is not None else nullcontext(source) as place,
+        lines_in_messages(_file_of(place)),
+    ):
+        system = _load_source(place, requested, locked, new_gravity, root, merged, folders, added)
         if strict:
-            _check_second_reading(source, folders, root)
-    else:
-        with text_in_file(text) as path:
-            system = _load_source(
-                path, requested, locked, new_gravity, root, merged, folders, added
-            )
-            if strict:
-                _check_second_reading(path, folders, root)
+            _check_second_reading(place, folders, root)
+    if text is not None:
         # The file is gone, so the text itself is the origin.
         vars(system)["origin"] = Origin("", locked, root, folders, text)
     _report(system, strict=strict)
@@ -264,19 +262,28 @@ def _load_source(
 
 def _check_second_reading(source: object, folders: tuple[str, ...], root: str | None) -> None:
     """Reject a file that an independent reader reads differently.  Raises ModelError."""
-    if not isinstance(source, (str, Path)):
+    path = _file_of(source)
+    if path is None:
         return
-    name = str(source)
-    if (bundled := catalogue.bundled_robots().get(name)) is not None:
-        path = bundled.path
-    else:
-        path = Path(source) if is_path(name) else catalogue.example_robot(name).urdf
     reading = second_reading(path, folders, root)
     if reading is not None and reading.differences:
         raise ModelError(
             f"{quoted(path.stem)} is refused because of strict=True: {reading.reader} reads the "
             f"file differently: {'; '.join(reading.differences[:6])}"
         )
+
+
+def _file_of(source: object) -> Path | None:
+    """Return the file of a source, if it has one."""
+    if not isinstance(source, (str, Path)):
+        return None
+    name = str(source)
+    if (bundled := catalogue.bundled_robots().get(name)) is not None:
+        return bundled.path
+    if is_path(name):
+        return Path(source)
+    robots = catalogue.example_robots()
+    return catalogue.example_robot(name).urdf if name in robots else None
 
 
 def _report(system: System, *, strict: bool) -> None:
