@@ -218,7 +218,7 @@ REFUSED = {
     "no parent": (
         sdf(*LINKS[:2], "\n", joint("one", "fixed", "nobody", "b")),
         pinred.LoadError,
-        r"Drake cannot read .*arm.sdf: parent frame with name\[nobody\]",
+        r"Drake cannot read .*arm.sdf, line 2: parent frame with name\[nobody\]",
     ),
     "a word without number": (
         sdf(*LINKS[:2], joint("one", "revolute", "a", "b", axis(
