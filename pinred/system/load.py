@@ -43,7 +43,7 @@ from .locked_joints import (
     separate_attitudes,
 )
 from .loops.kinematics import loop_ends
-from .loops.loop import Constraint, JointPolynomial, Loop, parse_loops
+from .loops.loop import HEAVY_GROUND, Constraint, JointPolynomial, Loop, parse_loops
 from .loops.loop_file import LoopFile, requested_loops
 from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls, unlocked_balls
 from .mjcf.package import is_mujoco
@@ -483,7 +483,8 @@ def _moving_loops(
             raise ModelError(
                 f"joint {quoted(loop.name)}{robot.lines.get(loop.name, '')} of "
                 f"{quoted(robot.name)} closes a loop through the world, so the base cannot move "
-                "freely, which breaks the symmetry; remove it, or lock the joints of the loop"
+                "freely, which breaks the symmetry; remove it, lock the joints of the loop, or "
+                f"{HEAVY_GROUND}"
             )
         yield loop
 
