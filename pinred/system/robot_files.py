@@ -228,13 +228,16 @@ def _add_lines(error: LoadError | ModelError, path: Path) -> None:
     error.args = (_MENTION.sub(with_line, message), *error.args[1:])
 
 
-def _without_declaration(text: str) -> str:
-    """Return an XML text without its XML declaration, and without comments that contain "--".
+def without_hyphens(text: str) -> str:
+    """Return an XML text without comments that contain "--", an error for strict parsers only."""
+    if "<!--" not in text:
+        return text
+    return _COMMENT.sub(lambda m: "\n" * m[0].count("\n") if "--" in m[1] else m[0], text)
 
-    Both are errors for strict parsers only: the declaration unless it starts the file.
-    """
-    if "<!--" in text:
-        text = _COMMENT.sub(lambda m: "\n" * m[0].count("\n") if "--" in m[1] else m[0], text)
+
+def _without_declaration(text: str) -> str:
+    """Return an XML text without its XML declaration, an error unless it starts the file."""
+    text = without_hyphens(text)
     head, mark, tail = text.partition("<?xml")
     if mark and not _ELEMENT.search(head):
         text = head + tail.partition("?>")[2]
