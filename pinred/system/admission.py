@@ -180,7 +180,9 @@ def _check_inertias(model: pin.Model, coupled: Coupled | None) -> tuple[str, ...
     for i in range(1, model.njoints):
         _check_body(model, i, unit)
     if not sum(model.inertias[i].mass for i in range(1, model.njoints)) > 0.0:
-        raise ModelError(f"{_body_words(model, 1)} and its descendants have no mass")
+        raise ModelError(
+            f"{_body_words(model, 1)} and its descendants have no mass; give one of them a mass"
+        )
     singular = singular_shapes(model, coupled)
     if singular.everywhere:
         raise ModelError(_refusal(model, singular.everywhere))
