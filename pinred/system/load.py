@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
@@ -16,25 +17,34 @@ from numpy.typing import ArrayLike
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import (
+    ChoiceError,
     InputError,
     LeftOutWarning,
+    LoadError,
     ModelError,
     ModelWarning,
 )
 from ..common.files import is_file
-from ..common.names import brief, quoted
+from ..common.names import brief, listed, quoted
 from ..common.waiting import Wait
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
+from ..lie.spatial_groups import SE3
 from . import catalogue
 from .body_parameters import link_inertias
-from .choose_root import on_root
 from .constant_loops import with_constant_loops
 from .coordinates import InitialState
 from .coupling import ties_of, with_followers
-from .example_model import example_model
 from .independent_reader import second_reading
-from .joints import is_ball, motion_group, places_on_root, root_chain
+from .joints import (
+    RootChain,
+    is_ball,
+    is_shape_joint,
+    motion_group,
+    places_on_root,
+    root_chain,
+    root_joint,
+)
 from .locked_joints import (
     LockedJoints,
     LockValue,
@@ -55,10 +65,19 @@ from .read_urdf import UrdfRobot, read_urdf
 from .rebuild import rebuild, without_mimics
 from .robot_description import Model
 from .robot_file_contents import Contents, Coupling, LeftOut, Origin
-from .robot_files import is_mjcf, lines_in_messages, outermost, read_text, text_in_file
+from .robot_files import (
+    is_mjcf,
+    lines_in_messages,
+    outermost,
+    read_text,
+    read_xml,
+    text_in_file,
+)
 from .split_joints import split_joints
 from .stated_limits import stated_limits
 from .system import System
+from .urdf_elements import mimic_couplings
+from .urdf_words import left_out_words
 from .variants import checked_gravity
 from .visuals import Visuals, mesh_folders, with_visuals
 
@@ -326,7 +345,7 @@ def _load_mujoco(
 ) -> System:
     """Load a MuJoCo source of a `kind` (see `_mjcf_kind`); other arguments: see `load`."""
     robot = read_mujoco(source, root=root, lock=locked, gravity=gravity, balls=balls)
-    model, name, origin = on_root(robot.model, group, None), robot.name, None
+    model, name, origin = _on_root(robot.model, group, None), robot.name, None
     if kind == "path":
         name = Path(source).stem
         origin = Origin(str(Path(source).absolute()), locked, root)
@@ -383,7 +402,7 @@ def _read(
     if is_path(name):
         origin = replace(origin, source=str(Path(source).absolute()))
         return _of_urdf(read_urdf(Path(source)), Path(source).stem, origin, group)
-    return _of_urdf(example_model(name), name, origin, group)
+    return _of_urdf(_example_model(name), name, origin, group)
 
 
 def _load_model(
@@ -412,7 +431,7 @@ def _load_model(
     raw = merge.model(split.model)
     bare = rebuild(raw, frozen=frozen_configurations(raw, locked, attitudes))
     chain = root_chain(bare)
-    model = on_root(bare, robot.group, chain)
+    model = _on_root(bare, robot.group, chain)
     locked_joints = None
     if locked:
         ties, shared = ties_of(locked, all_couplings, names)
@@ -505,3 +524,87 @@ def _same_points(a: list[tuple[int, Array]], b: list[tuple[int, Array]]) -> bool
 def is_path(name: str) -> bool:
     """Return whether a source is a file path instead of the name of a known robot."""
     return "/" in name or Path(name).suffix != "" or is_file(Path(name))
+
+
+def _on_root(raw: pin.Model, group: Group | None, chain: RootChain | None) -> pin.Model:
+    """Return the model with a root joint of the requested group: its current root, or a new one.
+
+    Args:
+        raw: Model.
+        group: Requested group, or None for the group of the current root.
+        chain: Consecutive joints at the root that form one joint, if any.
+    Raises:
+        ChoiceError: It is unclear whether the root link is fixed or floats.
+        ModelError: The current root moves in another group.
+    """
+    root_group = _root_group(raw) if chain is None else chain.group
+    if root_group is None:
+        if group is None and raw.njoints > 1 and raw.inertias[0].mass == 0.0:
+            raise ChoiceError(_unclear_root(raw), "group", ("SE3",))
+        return rebuild(raw, root=root_joint(group or SE3))
+    if group in (None, root_group):
+        return raw if chain is None else rebuild(raw, root=root_joint(root_group), chain=chain)
+    joints = list(raw.names)[1 : 2 if chain is None else chain.last + 1]
+    locked = "' or '".join(joints)
+    way_out = f"load it with group='{root_group}', or lock '{locked}'"
+    if chain is None and raw.joints[1].nv == 1:
+        way_out += ", or give the massless link above it a mass so that it can float"
+    raise ModelError(
+        f"group {group} was requested, but the root joint '{'+'.join(joints)}' of the model has "
+        f"group {root_group}; {way_out}"
+    )
+
+
+def _unclear_root(raw: pin.Model) -> str:
+    """Return the error message that asks whether a massless root link is fixed or floats."""
+    links = [f.name for f in raw.frames if f.parentJoint == 0 and f.type == pin.FrameType.BODY]
+    carried = [raw.names[i] for i in range(1, raw.njoints) if raw.parents[i] == 0]
+    link = f"the root link {quoted(links[0])}" if links else "the root"
+    return (
+        f"{link} has no mass and carries several joints ({listed(carried)}): does it stand, or "
+        "float? group='SE3' lets it float; as a ground it must carry one joint: lock the others, "
+        "or give it a mass"
+    )
+
+
+def _root_group(raw: pin.Model) -> Group | None:
+    """Return the group of the root joint in a model, or None if it needs a new root."""
+    if raw.njoints < 2:
+        return None
+    group = motion_group(raw.joints[1])
+    if not is_shape_joint(raw.joints[1]):
+        return group
+    anchored = raw.inertias[0].mass == 0.0
+    carries_all = all(raw.parents[i] != 0 for i in range(2, raw.njoints))
+    return group if anchored and carries_all else None
+
+
+def _example_model(name: str) -> UrdfRobot:
+    """Return a robot of example-robot-data, with rotor armature.
+
+    Raises:
+        LoadError: The name is unknown; the message has similar names.
+    """
+    names = catalogue.example_robots()
+    if name not in names:
+        near = difflib.get_close_matches(name[:200], [*catalogue.bundled_robots(), *names], n=3)
+        hint = f"did you mean {' or '.join(near)}? " if near else ""
+        more = "" if names else f"; for solo12, talos, ur5 and others: {catalogue.INSTALL_ROBOTS}"
+        raise LoadError(
+            f"unknown robot {quoted(name)}; {hint}`pinred robots` lists what can be loaded{more}"
+        )
+    robot = catalogue.example_robot(name)
+    if robot.build is None:
+        urdf = read_urdf(robot.urdf)
+    else:
+        root = read_xml(robot.urdf)
+        model, couplings = without_mimics(robot.build().robot.model)
+        if not couplings:
+            candidates = mimic_couplings(root)
+            couplings = tuple(c for c in candidates if model.existJointName(c.follower))
+        urdf = UrdfRobot(model, couplings, left_out=left_out_words(root))
+    if robot.rotors is not None:
+        model = urdf.model
+        pin.loadRotorParameters(model, str(robot.rotors), False)
+        model.armature = model.rotorInertia * model.rotorGearRatio**2
+    return urdf

@@ -26,7 +26,7 @@ from pinred.laboratory.corpus.scope import why_not_due
 from pinred.laboratory.corpus.second_reader import differences
 from pinred.laboratory.corpus.trial import TrialOptions, run_trial
 from pinred.laboratory.corpus.worker import Worker
-from pinred.system import drake_comparison
+from pinred.system import independent_reader
 
 QUICK = TrialOptions(duration=0.05)
 ARM = f'<body name="arm">{HINGE}{MASS}</body>'
@@ -193,11 +193,11 @@ def test_sdf_files_are_compared_with_drake(tmp_path: Path, monkeypatch: pytest.M
     assert "Drake does not open it" in entries["wrong"].why_not
     assert "sdf" in str(Corpus(tuple(entries.values())))
 
-    class Wrong(drake_comparison._Pair):
+    class Wrong(independent_reader._Pair):
         def difference(self, rng: Any) -> float:
             return super().difference(rng) + 1e-6
 
-    monkeypatch.setattr(drake_comparison, "_Pair", Wrong)
+    monkeypatch.setattr(independent_reader, "_Pair", Wrong)
     entry = run_trial(next(d for d in found if d.file.endswith("arm.sdf")), QUICK)
     assert (entry.outcome, entry.about) == ("FAILED", "Drake reads it differently")
 

@@ -15,7 +15,7 @@ import pytest
 import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import ChoiceError
-from pinred.system.drake_comparison import mass_difference
+from pinred.system.independent_reader import mass_difference
 from pinred.system.passive import Damper, Friction, Spring
 from pinred.system.read_sdf import read_sdf
 from pinred.system.split_joints import split_joints

@@ -17,7 +17,7 @@ from test_sdf import LINKS, axis, joint, link, sdf, write
 import pinred
 from pinred.common.errors import ChoiceError
 from pinred.system import independent_reader
-from pinred.system.drake_comparison import ROUNDED, mass_difference
+from pinred.system.independent_reader import ROUNDED, mass_difference
 from pinred.system.loops.loop import parse_loops
 from pinred.system.passive import Damper, Friction, Spring
 from pinred.system.read_sdf import read_sdf
