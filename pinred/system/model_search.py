@@ -14,7 +14,7 @@ from urllib.parse import unquote
 from xml.etree.ElementTree import Element
 
 from ..common.files import is_file, is_folder
-from ..common.names import listed, plain, plain_path, quoted
+from ..common.names import listed, plain_path, quoted
 from .robot_files import read_xml
 
 NEWEST = (1, 12)  # newest version of SDF that pinred reads
@@ -70,8 +70,8 @@ def find_file(uri: str, file: Path, folders: Sequence[str]) -> Path | str:
         served = _SERVED.fullmatch(uri)
         name = "the model" if served is None else quoted(unquote(served["name"]))
         return (
-            f"pinred downloads nothing. Download the model (`gz fuel download -u {plain(uri)}`), "
-            f"or pass a folder that contains {name} as meshes="
+            f'pinred downloads nothing. Download the model (`gz fuel download -u "'
+            f'{plain_path(uri)}"`), or pass a folder that contains {name} as meshes='
         )
     return (
         f"not found in {listed([plain_path(path.parent) for path in candidates], 4)}; pass the "
