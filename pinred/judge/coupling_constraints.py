@@ -173,10 +173,17 @@ class CouplingConstraints:
         zero = np.zeros(len(v))
         responses = np.array([pin.aba(self._weightless, data, q, zero, row, axes) for row in J])
         if self._loops is None:
-            multipliers = np.linalg.solve(J @ responses.T, J @ free)
-        else:
-            multipliers = np.linalg.lstsq(J @ responses.T, J @ free + bias, rcond=RANK**2)[0]
-        return np.asarray(free - multipliers @ responses)
+            return np.asarray(free - np.linalg.solve(J @ responses.T, J @ free) @ responses)
+        # Light links in loops have responses that are 1e10 times those of others.  Without scales
+        # and a second solution of the remaining equations, integrators take steps of round-off.
+        A = J @ responses.T
+        sizes = A.diagonal()
+        scale = 1.0 / np.sqrt(np.maximum(sizes, RANK**3 * sizes.max()))
+        inverse = np.linalg.pinv(scale[:, None] * A * scale, RANK**2, hermitian=True)
+        # Without the second solution, the other axes show what one solution loses by round-off.
+        for _ in range(2 if axes == pin.Convention.LOCAL else 1):
+            free = free - (scale * (inverse @ (scale * (J @ free + bias)))) @ responses
+        return np.asarray(free)
 
     def _solve_free_rows(
         self,

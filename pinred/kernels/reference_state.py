@@ -236,10 +236,12 @@ class ReferenceState:
 
         The round-off of the momenta is proportional to it.  Base momenta are rotated between
         frames, which mixes their components, so each component is assigned the largest of their
-        magnitudes.
+        magnitudes.  Masses around the root may cancel in H, but their round-off remains.
         """
         terms = np.abs(self.H) @ np.abs(self.v)
         linear = len(self.com_path) // 3
+        turn = float(np.abs(self.v[linear : len(self.mu)]).sum())
+        terms[:linear] += self.system.mass * self.reach * turn
         for block in (slice(0, linear), slice(linear, len(self.mu))):
             terms[block] = terms[block].max(initial=0.0)
         return np.asarray(terms)

@@ -149,11 +149,16 @@ def _admit_numbers(model: pin.Model, group: Group) -> None:
         raise ModelError(
             f"the model's gravity has an angular part: {model.gravity.vector}; it must be linear"
         )
-    if (model.armature < 0.0).any():
-        raise ModelError(f"armature must not be negative: {model.armature}")
-    for i in range(2, model.njoints):
+    for i in range(1, model.njoints):
         first = model.joints[i].idx_v
         armature = model.armature[first : first + model.joints[i].nv]
+        if (armature < 0.0).any():
+            raise ModelError(
+                f"joint {quoted(model.names[i])} has armature {armature.min():g}; it must be zero "
+                "or positive"
+            )
+        if i == 1:
+            continue
         if not (armature == armature[0]).all():
             raise ModelError(
                 f"ball joint {quoted(model.names[i])} has armature {armature}; the kinetic energy "
@@ -175,7 +180,9 @@ def _check_inertias(model: pin.Model, coupled: Coupled | None) -> tuple[str, ...
     for i in range(1, model.njoints):
         _check_body(model, i, unit)
     if not sum(model.inertias[i].mass for i in range(1, model.njoints)) > 0.0:
-        raise ModelError(f"{_body_words(model, 1)} and its descendants have no mass")
+        raise ModelError(
+            f"{_body_words(model, 1)} and its descendants have no mass; give one of them a mass"
+        )
     singular = singular_shapes(model, coupled)
     if singular.everywhere:
         raise ModelError(_refusal(model, singular.everywhere))

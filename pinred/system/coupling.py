@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..common.arrays import Array, FrozenArrays
 from ..common.errors import InputError, ModelError
-from ..common.names import listed, quoted
+from ..common.names import listed, nearest, quoted
 from .locked_joints import Tie
 from .robot_file_contents import Coupling
 from .shape_space import ShapeSpace, shape_space
@@ -170,17 +170,18 @@ def _check(coupling: Coupling, joints: Sequence[str], root: str) -> None:
             f"the root joint {quoted(root)} follows {leaders}, but its motion is the "
             f"symmetry, so it cannot follow a joint. Lock {leaders}; the root is then locked, too."
         )
-    if unknown:
+    if unknown and unknown[0] in (root, *root.split("+")):
         raise ModelError(
             f"joint {follower} follows {quoted(unknown[0])}, which is not behind the "
             f"root joint {quoted(root)}; the motion of the root is the symmetry, so the root "
             f"cannot lead a joint. Lock {quoted(unknown[0])}; its followers are then locked, too."
         )
-    if coupling.follower not in joints:
-        raise ModelError(
-            f"a coupling makes {follower} follow {leaders}, but no joint {follower} moves about or "
-            "along one axis"
-        )
+    for name in (*unknown, coupling.follower):
+        if name not in joints:
+            raise ModelError(
+                f"joint {follower} follows {leaders}, but joint {quoted(name)} does not move about "
+                "or along one axis; make it revolute or prismatic, or remove the coupling"
+            )
     if not np.isfinite([*coupling.ratios.values(), coupling.offset]).all():
         raise ModelError(
             f"joint {follower} follows {leaders} with ratios {[*coupling.ratios.values()]} and "
@@ -237,7 +238,8 @@ def with_followers(
         follower, leader = unknown[0]
         raise ModelError(
             f"joint {quoted(follower)} follows {quoted(leader)}, which is "
-            "not a moving joint; name a moving joint, or lock the follower: "
+            f"not a moving joint; {nearest(leader, joints)}name a moving joint, or lock the "
+            "follower: "
             f"lock={[name for name, _ in unknown]}"
         )
     if not any(name in lock for c in active for name in (c.follower, *c.leaders)):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -15,25 +17,34 @@ from numpy.typing import ArrayLike
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import (
+    ChoiceError,
     InputError,
     LeftOutWarning,
+    LoadError,
     ModelError,
     ModelWarning,
 )
 from ..common.files import is_file
-from ..common.names import brief, quoted
+from ..common.names import brief, listed, quoted
 from ..common.waiting import Wait
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
+from ..lie.spatial_groups import SE3
 from . import catalogue
 from .body_parameters import link_inertias
-from .choose_root import on_root
 from .constant_loops import with_constant_loops
 from .coordinates import InitialState
 from .coupling import ties_of, with_followers
-from .example_model import example_model
 from .independent_reader import second_reading
-from .joints import is_ball, motion_group, places_on_root, root_chain
+from .joints import (
+    RootChain,
+    is_ball,
+    is_shape_joint,
+    motion_group,
+    places_on_root,
+    root_chain,
+    root_joint,
+)
 from .locked_joints import (
     LockedJoints,
     LockValue,
@@ -42,7 +53,7 @@ from .locked_joints import (
     separate_attitudes,
 )
 from .loops.kinematics import loop_ends
-from .loops.loop import Constraint, JointPolynomial, Loop, parse_loops
+from .loops.loop import HEAVY_GROUND, Constraint, JointPolynomial, Loop, parse_loops
 from .loops.loop_file import LoopFile, requested_loops
 from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls, unlocked_balls
 from .mjcf.package import is_mujoco
@@ -54,10 +65,19 @@ from .read_urdf import UrdfRobot, read_urdf
 from .rebuild import rebuild, without_mimics
 from .robot_description import Model
 from .robot_file_contents import Contents, Coupling, LeftOut, Origin
-from .robot_files import is_mjcf, outermost, read_text, text_in_file
+from .robot_files import (
+    is_mjcf,
+    lines_in_messages,
+    outermost,
+    read_text,
+    read_xml,
+    text_in_file,
+)
 from .split_joints import split_joints
 from .stated_limits import stated_limits
 from .system import System
+from .urdf_elements import mimic_couplings
+from .urdf_words import left_out_words
 from .variants import checked_gravity
 from .visuals import Visuals, mesh_folders, with_visuals
 
@@ -200,17 +220,14 @@ def load(
         requested_loops(loops, source),
     )
     folders = mesh_folders(meshes)
-    if text is None:
-        system = _load_source(source, requested, locked, new_gravity, root, merged, folders, added)
+    with (
+        text_in_file(text) if text is not None else nullcontext(source) as place,
+        lines_in_messages(_file_of(place)),
+    ):
+        system = _load_source(place, requested, locked, new_gravity, root, merged, folders, added)
         if strict:
-            _check_second_reading(source, folders, root)
-    else:
-        with text_in_file(text) as path:
-            system = _load_source(
-                path, requested, locked, new_gravity, root, merged, folders, added
-            )
-            if strict:
-                _check_second_reading(path, folders, root)
+            _check_second_reading(place, folders, root)
+    if text is not None:
         # The file is gone, so the text itself is the origin.
         vars(system)["origin"] = Origin("", locked, root, folders, text)
     _report(system, strict=strict)
@@ -264,19 +281,28 @@ def _load_source(
 
 def _check_second_reading(source: object, folders: tuple[str, ...], root: str | None) -> None:
     """Reject a file that an independent reader reads differently.  Raises ModelError."""
-    if not isinstance(source, (str, Path)):
+    path = _file_of(source)
+    if path is None:
         return
-    name = str(source)
-    if (bundled := catalogue.bundled_robots().get(name)) is not None:
-        path = bundled.path
-    else:
-        path = Path(source) if is_path(name) else catalogue.example_robot(name).urdf
     reading = second_reading(path, folders, root)
     if reading is not None and reading.differences:
         raise ModelError(
             f"{quoted(path.stem)} is refused because of strict=True: {reading.reader} reads the "
             f"file differently: {'; '.join(reading.differences[:6])}"
         )
+
+
+def _file_of(source: object) -> Path | None:
+    """Return the file of a source, if it has one."""
+    if not isinstance(source, (str, Path)):
+        return None
+    name = str(source)
+    if (bundled := catalogue.bundled_robots().get(name)) is not None:
+        return bundled.path
+    if is_path(name):
+        return Path(source)
+    robots = catalogue.example_robots()
+    return catalogue.example_robot(name).urdf if name in robots else None
 
 
 def _report(system: System, *, strict: bool) -> None:
@@ -319,7 +345,7 @@ def _load_mujoco(
 ) -> System:
     """Load a MuJoCo source of a `kind` (see `_mjcf_kind`); other arguments: see `load`."""
     robot = read_mujoco(source, root=root, lock=locked, gravity=gravity, balls=balls)
-    model, name, origin = on_root(robot.model, group, None), robot.name, None
+    model, name, origin = _on_root(robot.model, group, None), robot.name, None
     if kind == "path":
         name = Path(source).stem
         origin = Origin(str(Path(source).absolute()), locked, root)
@@ -376,7 +402,7 @@ def _read(
     if is_path(name):
         origin = replace(origin, source=str(Path(source).absolute()))
         return _of_urdf(read_urdf(Path(source)), Path(source).stem, origin, group)
-    return _of_urdf(example_model(name), name, origin, group)
+    return _of_urdf(_example_model(name), name, origin, group)
 
 
 def _load_model(
@@ -405,7 +431,7 @@ def _load_model(
     raw = merge.model(split.model)
     bare = rebuild(raw, frozen=frozen_configurations(raw, locked, attitudes))
     chain = root_chain(bare)
-    model = on_root(bare, robot.group, chain)
+    model = _on_root(bare, robot.group, chain)
     locked_joints = None
     if locked:
         ties, shared = ties_of(locked, all_couplings, names)
@@ -476,7 +502,8 @@ def _moving_loops(
             raise ModelError(
                 f"joint {quoted(loop.name)}{robot.lines.get(loop.name, '')} of "
                 f"{quoted(robot.name)} closes a loop through the world, so the base cannot move "
-                "freely, which breaks the symmetry; remove it, or lock the joints of the loop"
+                "freely, which breaks the symmetry; remove it, lock the joints of the loop, or "
+                f"{HEAVY_GROUND}"
             )
         yield loop
 
@@ -497,3 +524,87 @@ def _same_points(a: list[tuple[int, Array]], b: list[tuple[int, Array]]) -> bool
 def is_path(name: str) -> bool:
     """Return whether a source is a file path instead of the name of a known robot."""
     return "/" in name or Path(name).suffix != "" or is_file(Path(name))
+
+
+def _on_root(raw: pin.Model, group: Group | None, chain: RootChain | None) -> pin.Model:
+    """Return the model with a root joint of the requested group: its current root, or a new one.
+
+    Args:
+        raw: Model.
+        group: Requested group, or None for the group of the current root.
+        chain: Consecutive joints at the root that form one joint, if any.
+    Raises:
+        ChoiceError: It is unclear whether the root link is fixed or floats.
+        ModelError: The current root moves in another group.
+    """
+    root_group = _root_group(raw) if chain is None else chain.group
+    if root_group is None:
+        if group is None and raw.njoints > 1 and raw.inertias[0].mass == 0.0:
+            raise ChoiceError(_unclear_root(raw), "group", ("SE3",))
+        return rebuild(raw, root=root_joint(group or SE3))
+    if group in (None, root_group):
+        return raw if chain is None else rebuild(raw, root=root_joint(root_group), chain=chain)
+    joints = list(raw.names)[1 : 2 if chain is None else chain.last + 1]
+    locked = "' or '".join(joints)
+    way_out = f"load it with group='{root_group}', or lock '{locked}'"
+    if chain is None and raw.joints[1].nv == 1:
+        way_out += ", or give the massless link above it a mass so that it can float"
+    raise ModelError(
+        f"group {group} was requested, but the root joint '{'+'.join(joints)}' of the model has "
+        f"group {root_group}; {way_out}"
+    )
+
+
+def _unclear_root(raw: pin.Model) -> str:
+    """Return the error message that asks whether a massless root link is fixed or floats."""
+    links = [f.name for f in raw.frames if f.parentJoint == 0 and f.type == pin.FrameType.BODY]
+    carried = [raw.names[i] for i in range(1, raw.njoints) if raw.parents[i] == 0]
+    link = f"the root link {quoted(links[0])}" if links else "the root"
+    return (
+        f"{link} has no mass and carries several joints ({listed(carried)}): does it stand, or "
+        "float? group='SE3' lets it float; as a ground it must carry one joint: lock the others, "
+        "or give it a mass"
+    )
+
+
+def _root_group(raw: pin.Model) -> Group | None:
+    """Return the group of the root joint in a model, or None if it needs a new root."""
+    if raw.njoints < 2:
+        return None
+    group = motion_group(raw.joints[1])
+    if not is_shape_joint(raw.joints[1]):
+        return group
+    anchored = raw.inertias[0].mass == 0.0
+    carries_all = all(raw.parents[i] != 0 for i in range(2, raw.njoints))
+    return group if anchored and carries_all else None
+
+
+def _example_model(name: str) -> UrdfRobot:
+    """Return a robot of example-robot-data, with rotor armature.
+
+    Raises:
+        LoadError: The name is unknown; the message has similar names.
+    """
+    names = catalogue.example_robots()
+    if name not in names:
+        near = difflib.get_close_matches(name[:200], [*catalogue.bundled_robots(), *names], n=3)
+        hint = f"did you mean {' or '.join(near)}? " if near else ""
+        more = "" if names else f"; for solo12, talos, ur5 and others: {catalogue.INSTALL_ROBOTS}"
+        raise LoadError(
+            f"unknown robot {quoted(name)}; {hint}`pinred robots` lists what can be loaded{more}"
+        )
+    robot = catalogue.example_robot(name)
+    if robot.build is None:
+        urdf = read_urdf(robot.urdf)
+    else:
+        root = read_xml(robot.urdf)
+        model, couplings = without_mimics(robot.build().robot.model)
+        if not couplings:
+            candidates = mimic_couplings(root)
+            couplings = tuple(c for c in candidates if model.existJointName(c.follower))
+        urdf = UrdfRobot(model, couplings, left_out=left_out_words(root))
+    if robot.rotors is not None:
+        model = urdf.model
+        pin.loadRotorParameters(model, str(robot.rotors), False)
+        model.armature = model.rotorInertia * model.rotorGearRatio**2
+    return urdf

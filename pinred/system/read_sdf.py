@@ -8,7 +8,6 @@ numbers of joints from the document.  One robot is everything that joints connec
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -135,23 +134,11 @@ def _plant(path: Path, document: SdfDocument) -> tuple[Any, list[str]]:
         try:
             models = parsing.Parser(plant).AddModels(str(document.write(folder)))
         except Exception as error:  # Drake raises RuntimeError and other types.
-            message = document.with_own_paths(str(error).strip(), folder).splitlines()[0]
-            raise LoadError(f"Drake cannot read {_located(path, message)}") from None
+            raise LoadError(document.drake_error(str(error).strip(), folder)) from None
         messages[:] = [document.with_own_paths(message, folder) for message in messages]
     if not models:
         raise LoadError(f"{plain_path(path)} contains no model")
     return plant, messages
-
-
-def _located(path: Path, message: str) -> str:
-    """Return the file, the line and the reason from an error message of Drake."""
-    match = re.match(r"(?P<file>.*?):(?P<line>\d+): error: (?P<why>.*)", message)
-    where, why = plain_path(path), message.partition("error: ")[2] or message
-    if match is not None:
-        line = f", line {match['line']}" if match["line"] != "0" else ""
-        where, why = f"{match['file']}{line}", match["why"]
-    why = re.sub(r"^At XML path \S+: ", "", why).removesuffix(".")
-    return f"{where}: {why}"
 
 
 @contextmanager

@@ -21,7 +21,7 @@ import pinocchio as pin
 
 from ..common.errors import LoadError, ModelError
 from ..common.library_output import library_output
-from ..common.names import plain_path
+from ..common.names import plain, plain_path
 from .loops.loop import Loop
 from .passive import Spring
 from .rebuild import NewJoint, rebuild
@@ -98,7 +98,8 @@ def read_urdf(path: Path) -> UrdfRobot:
     root = read_xml(path)
     if root.tag != "robot":
         raise LoadError(
-            f"{plain_path(path)} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>"
+            f"{plain_path(path)}, line {root.line}: expected <robot> (URDF), <mujoco> (MJCF) or "
+            f"<sdf>, got <{plain(root.tag)}>; convert the file to one of these formats"
         )
     _refuse_macros(path, root)
     if (links := len(root.findall("link"))) > _MOST_LINKS:

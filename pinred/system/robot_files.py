@@ -16,7 +16,7 @@ from xml.parsers import expat
 
 from ..common.errors import LoadError, ModelError
 from ..common.files import is_file, is_folder
-from ..common.names import plain_path, quoted_path
+from ..common.names import plain_path, quoted, quoted_path
 
 _MOST_BYTES = 256_000_000  # largest accepted size of a file [byte]
 _DEEPEST = 100  # largest depth of nested URDF elements; valid files need only a few
@@ -28,6 +28,15 @@ _COMMENT = re.compile(r"<!--(.*?)-->", re.DOTALL)
 _NAME = re.compile(
     r"""<(?:robot|mujoco|model)\s[^>]*?\b(?:name|model)\s*=\s*["']([\w-]{1,100})["']"""
 )
+
+_TAGS = {  # tags of elements by the words for them in messages
+    "link": ("link",),
+    "joint": ("joint", "freejoint", "drake:joint"),
+    "body": ("body",),
+    "tendon": ("fixed", "spatial"),
+}
+_MENTION = re.compile(rf"\b({'|'.join(_TAGS)}) ('[^']*')")
+_LINE = re.compile(r"\bline \d")
 
 
 class FileElement(ElementTree.Element):
@@ -175,13 +184,60 @@ def read_xml(path: Path) -> FileElement:
         raise LoadError(f"{plain_path(path)} is not XML: {error}{advice}") from None
 
 
-def _without_declaration(text: str) -> str:
-    """Return an XML text without its XML declaration, and without comments that contain "--".
+@contextmanager
+def lines_in_messages(path: Path | None) -> Iterator[None]:
+    """Add the lines of links, joints and bodies to the messages of errors in the block.
 
-    Both are errors for strict parsers only: the declaration unless it starts the file.
+    A message that states a line already stays as it is, and so do names that several elements have.
+
+    Args:
+        path: The robot's file, if any.
+    Yields:
+        Nothing.
+    Raises:
+        LoadError: As the block does.
+        ModelError: Likewise.
     """
-    if "<!--" in text:
-        text = _COMMENT.sub(lambda m: "\n" * m[0].count("\n") if "--" in m[1] else m[0], text)
+    try:
+        yield
+    except (LoadError, ModelError) as error:
+        if path is not None:
+            _add_lines(error, path)
+        raise
+
+
+def _add_lines(error: LoadError | ModelError, path: Path) -> None:
+    """Add lines to the message of an error, in place."""
+    message = str(error)
+    if not _MENTION.search(message) or _LINE.search(message):
+        return
+    try:
+        elements = list(read_xml(path).iter())
+    except LoadError:
+        return
+
+    def with_line(match: re.Match[str]) -> str:
+        tags = _TAGS[match[1]]
+        lines = {
+            line_of(element)
+            for element in elements
+            if element.tag in tags and quoted(element.get("name", "")) == match[2]
+        }
+        return f"{match[0]} (line {lines.pop()})" if len(lines) == 1 else match[0]
+
+    error.args = (_MENTION.sub(with_line, message), *error.args[1:])
+
+
+def without_hyphens(text: str) -> str:
+    """Return an XML text without comments that contain "--", an error for strict parsers only."""
+    if "<!--" not in text:
+        return text
+    return _COMMENT.sub(lambda m: "\n" * m[0].count("\n") if "--" in m[1] else m[0], text)
+
+
+def _without_declaration(text: str) -> str:
+    """Return an XML text without its XML declaration, an error unless it starts the file."""
+    text = without_hyphens(text)
     head, mark, tail = text.partition("<?xml")
     if mark and not _ELEMENT.search(head):
         text = head + tail.partition("?>")[2]

@@ -7,7 +7,7 @@ Drake ignores in part, come from the same elements.
 
 from __future__ import annotations
 
-import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,22 +19,17 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..common.errors import LoadError, ModelError, PinredError
-from ..common.files import is_file, is_folder
-from ..common.names import listed, plain, plain_path, quoted
+from ..common.names import plain, plain_path, quoted
 from . import sdf_words
+from .model_search import NEWEST, find_file, version_of
 from .robot_files import FileElement, line_of, read_xml
 from .sdf_inertia import added_moment
 from .sdf_words import TABLES, Use, Word
 
 _MOST_ELEMENTS = 1_000_000  # largest accepted number of elements in all files together
 _DEEPEST = 20  # largest number of files that include each other in a chain
-_NEWEST = (1, 12)  # newest version of SDF whose words are in the tables
 _UNIQUE = (1, 7)  # first version of SDF in which a link and a joint must have different names
 _UNLIMITED = 1e16  # position limit that stands for infinity in older versions of SDF
-_FOLDERS = (  # environment variables with folders of models
-    "GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH", "GAZEBO_MODEL_PATH",
-    "GAZEBO_RESOURCE_PATH", "ROS_PACKAGE_PATH",
-)  # fmt: skip
 _SCENERY = ("sun", "ground_plane")  # Gazebo's light and floor, on which nothing moves
 _GRAVITY = (0.0, 0.0, -9.8)  # gravity of a world that states none [m/s²]
 _WITH_ACTUATOR = ("revolute", "continuous", "prismatic", "screw")  # types with Drake's actuators
@@ -46,6 +41,17 @@ _AXES = {  # axes that each type of joint needs
 }
 JOINT_TYPES = "revolute, continuous, prismatic, universal, screw, ball, planar or fixed joints"
 _TRUE = ("true", "1")
+_NAMED = ("link", "joint", "frame", "model", "drake:joint")  # elements that messages name
+_REMEDIES = (  # remedies by words of Drake's messages
+    ("not found in|does not match", "name a link, joint, frame or model that exists"),
+    ("Non-unique name", "rename one of them"),
+    ("must specify different|resolve to different|to itself", "connect two links"),
+    ("cycle detected", "attach one of the frames to a link"),
+    ("Error reading element", "write the numbers that SDF defines for it"),
+    ("already has joint", "remove one of the joints"),
+    ("Only fixed joints", "make it fixed, or put it into a model that moves"),
+    ("MakeConvexHull", "state the inertia, or convert the mesh to .obj"),
+)
 
 
 @dataclass(frozen=True)
@@ -189,8 +195,35 @@ class SdfDocument:
     def with_own_paths(self, message: str, folder: Path) -> str:
         """Replace paths of copies in a message of Drake by paths of the files."""
         for number, path in reversed([*enumerate(self.paths)]):
-            message = message.replace(str(folder / f"{number}.sdf"), plain_path(path))
+            copy = re.escape(str(folder / f"{number}.sdf").lstrip("/"))
+            message = re.sub(rf"/*{copy}", lambda _: plain_path(path), message)  # noqa: B023
         return message
+
+    def drake_error(self, message: str, folder: Path) -> str:
+        """Return an error message of Drake with the file, the line and a remedy."""
+        message = self.with_own_paths(message, folder).splitlines()[0]
+        match = re.match(r"(?P<file>.*?):(?P<line>\d+): error: (?P<why>.*)", message)
+        why = message.partition("error: ")[2] or message
+        where = ""
+        if match is not None and match["line"] != "0":
+            where, why = f"{match['file']}, line {match['line']}", match["why"]
+        why = re.sub(r"^At XML path \S+: ", "", why).removesuffix(".")
+        remedy = next((way for words, way in _REMEDIES if re.search(words, why)), "")
+        where = where or self._line_of_name(why) or plain_path(self.paths[0])
+        return f"Drake cannot read {where}: {why}{f'; {remedy}' if remedy else ''}"
+
+    def _line_of_name(self, message: str) -> str:
+        """Return the file and the line of an element that a message names; "" without one."""
+        for name in re.findall(r"name\[([^\]]+)\]|joint '([^']+)'", message):
+            places = [
+                f"{plain_path(path)}, line {line_of(element)}"
+                for path in dict.fromkeys(self.paths)
+                for element in read_xml(path).iter()
+                if element.get("name") in filter(None, name) and element.tag in _NAMED
+            ]
+            if len(places) == 1 or (places and message.startswith("Non-unique")):
+                return places[-1]
+        return ""
 
 
 _HERE = "\0folder\0"  # stands for the folder of the copies
@@ -236,7 +269,7 @@ class _Place:
     model: str = ""
     static: bool = False
     owner: str = ""
-    version: tuple[int, ...] = _NEWEST
+    version: tuple[int, ...] = NEWEST
     taken: tuple[str, ...] = ()
 
     def inside(self, name: str) -> str:
@@ -259,6 +292,7 @@ class _Reader:
     def __init__(self, folders: Sequence[str], tolerant: bool) -> None:
         self.document = SdfDocument()
         self._folders, self._tolerant, self._count = folders, tolerant, 0
+        self._models = set[str]()
 
     def read(self, path: Path, include: _Include | None) -> int | None:
         """Read a file; return the number of its copy, or None if it contains no links.
@@ -279,9 +313,14 @@ class _Reader:
         place = _Place(path, chain)
         if root.tag != "sdf":
             place.fail(root, f"expected <sdf>, got <{plain(root.tag)}>")
-        place = replace(place, version=_version(root))
+        place = replace(place, version=version_of(root))
         if place.version == (0,):
             place.fail(root, '<sdf> has no valid version; state one, as in <sdf version="1.9">')
+        if place.version > NEWEST:
+            stated = plain(root.get("version", ""))
+            place.fail(root, f"pinred reads SDF up to version 1.12, not {stated}; convert the file")
+        if len(worlds := root.findall("world")) > 1:
+            place.fail(worlds[1], "pinred reads one world of a file; remove the others")
         if include is not None:
             if not root.findall("model") + root.findall("include"):
                 if root.find("world") is not None or not len(root):
@@ -311,8 +350,13 @@ class _Reader:
                 copy.set(key, value)
             elif word is None and not key.startswith(sdf_words.NAMESPACES):
                 self._unknown(f"attribute {key} of <{plain(element.tag)}>", element, place)
+        tags = set[str]()
         for child in element:
             word = words.get(child.tag, words.get(sdf_words.ANY))
+            is_read = word is not None and word.use is Use.READ
+            if is_read and child.tag in tags - sdf_words.SEVERAL:
+                self._report(sdf_words.REPEATED, f"<{child.tag}>", child, place)
+            tags.add(child.tag)
             if _is_outdated(child.tag, place):
                 word = _if_stated(child.text or "")
             if word is None:
@@ -379,7 +423,16 @@ class _Reader:
                 model=place.inside(include.name or name),
                 static=place.static or static,
             )
+        if inside.model in self._models and inside.model != place.model:
+            shown = f"a second model is called {quoted(inside.model.rpartition('::')[2])}; "
+            if include is not None:
+                include.place.fail(include.element, f"{shown}give the <include> another <name>")
+            place.fail(model, f"{shown}rename it")
+        self._models.add(inside.model)
         named = [*model.findall("link"), *model.findall("joint")]
+        for link in model.findall("link"):
+            if link.get("name") == "world" and not inside.static:
+                place.fail(link, "the name 'world' belongs to the ground; rename the link")
         inside = replace(inside, taken=tuple(part.get("name", "") for part in named))
         copy.append(self._copy(model, "model", inside))
 
@@ -387,6 +440,8 @@ class _Reader:
         """Read an <include> and its file; its copy includes the copy of the file."""
         uri = (element.findtext("uri") or "").strip()
         shown = f"<include> of {quoted(uri)}"
+        if not uri:
+            place.fail(element, "<include> has no <uri>; add it")
         name = (element.findtext("name") or "").strip()
         path = self._find(uri, place)
         if isinstance(path, str):
@@ -409,12 +464,8 @@ class _Reader:
                 element, f"{shown}: only SDF files can be included; convert it to SDF", ModelError
             )
         static = element.findtext("static")
-        include = _Include(
-            place,
-            name,
-            None if static is None else _is_true(static),
-            _is_true(element.get("merge")),
-        )
+        fixed = None if static is None else _is_true(static)
+        include = _Include(place, element, name, fixed, _is_true(element.get("merge")))
         number = self.read(path, include)
         inside = self._copy(element, "include", place)
         if number is not None:
@@ -422,39 +473,11 @@ class _Reader:
             copy.append(inside)
 
     def _find(self, uri: str, place: _Place) -> Path | str:
-        """Return the path of an included model, or why there is none."""
-        scheme, mark, location = uri.partition("://")
-        scheme, location = (scheme, location) if mark else ("", uri)
-        above = [str(folder) for folder in place.file.resolve().parents]
-        named = [*self._folders, *_environment()]
-        if scheme in ("http", "https", "fuel"):
-            return (
-                "pinred downloads nothing. Download the model, pass the folder that contains it "
-                f"as meshes=, and write model://{plain(location.rpartition('/')[2])}"
-            )
-        if scheme == "file":
-            candidates = [Path(location)]
-        elif scheme == "":
-            candidates = [Path(folder, location) for folder in (above[0], *named)]
-        elif scheme in ("model", "package"):
-            first, _, rest = location.partition("/")
-            candidates = [Path(folder, location) for folder in (*named, *above)]
-            candidates += [Path(folder, rest) for folder in named if Path(folder).name == first]
-        else:
-            return f"unknown scheme {quoted(scheme)}; use model://, package:// or file://"
-        for candidate in candidates:
-            if location and is_file(candidate):
-                path = candidate
-            elif location and is_folder(candidate):
-                path = _model_file(candidate)
-            else:
-                continue
+        """Return the path of an included model or of a mesh, or why there is none."""
+        path = find_file(uri, place.file, self._folders)
+        if isinstance(path, Path):
             self.document.found[uri] = path
-            return path
-        return (
-            f"not found in {listed([plain_path(path.parent) for path in candidates], 4)}; pass the "
-            "folder that contains the model as meshes=, or set GZ_SIM_RESOURCE_PATH"
-        )
+        return path
 
     def _link(self, link: Element, place: _Place) -> Element:
         """Read a link."""
@@ -466,11 +489,18 @@ class _Reader:
         inertial = link.find("inertial")
         if inertial is not None and _is_true(inertial.get("auto")):
             self._add_shapes(shapes, copy, place)
-        elif inertial is not None and not place.static:
+        elif inertial is not None:
             owner = replace(place, owner=key[1])
-            self.document.added[key] = added_moment(
-                inertial, copy, lambda e: float(self._numbers(e, owner, 1)[0]), owner.fail
-            )
+            try:
+                self.document.added[key] = added_moment(
+                    inertial, copy, lambda e: float(self._numbers(e, owner, 1)[0]), owner.fail
+                )
+            except LoadError:
+                if not place.static:
+                    raise
+                # Nothing static moves, so its inertia does not matter.
+                copy.remove(copy.find("inertial"))  # type: ignore[arg-type]
+                self._report("inertias that are not valid", key[1], inertial, place)
         return copy
 
     def _add_shapes(self, shapes: Sequence[Element], copy: Element, place: _Place) -> None:
@@ -536,6 +566,9 @@ class _Reader:
                 f"from SDF; use {JOINT_TYPES}",
                 ModelError,
             )
+        for tag in ("drake:parent", "drake:child", "drake:damping"):
+            if joint.find(tag) is None:
+                place.fail(joint, f"joint {quoted(name)} has no <{tag}>; add it")
         self.document.joints[place.model, name] = JointWords(kind, place.line(joint))
 
     @staticmethod
@@ -575,6 +608,8 @@ class _Reader:
                 return default
             return float(self._numbers(element, place, 1, finite=path.startswith("dyn"))[0])
 
+        if (xyz := axis.find("xyz")) is not None and not self._numbers(xyz, place, 3).any():
+            place.fail(xyz, "the axis is zero; state a direction")
         lower, upper = number("limit/lower", -np.inf), number("limit/upper", np.inf)
         most = [number(f"limit/{what}", np.inf) for what in ("effort", "velocity")]
         stated = Axis(
@@ -692,47 +727,17 @@ class _Include:
 
     Attributes:
         place: Its place.
+        element: The element.
         name: Name that it gives to the model, or "".
         static: Whether it says that the model is static; None if it does not say.
         merges: Whether the contents of the model become part of the including model.
     """
 
     place: _Place
+    element: Element
     name: str
     static: bool | None
     merges: bool
-
-
-def _environment() -> list[str]:
-    """Return the folders in the environment variables of Gazebo and ROS."""
-    folders = [
-        folder
-        for variable in _FOLDERS
-        for folder in os.environ.get(variable, "").split(os.pathsep)
-        if folder
-    ]
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    return [*folders, *(str(Path(prefix, "share")) for prefix in prefixes if prefix)]
-
-
-def _model_file(folder: Path) -> Path:
-    """Return the file of the model in a folder, in the newest version that its config names."""
-    for name in ("model.config", "manifest.xml"):
-        config = folder / name
-        if not is_file(config):
-            continue
-        best = None
-        version: tuple[int, ...] = (-1,)
-        for entry in read_xml(config).findall("sdf"):
-            number = _version(entry)
-            if version < number <= _NEWEST and (entry.text or "").strip():
-                best, version = (entry.text or "").strip(), number
-        if best is None:
-            raise LoadError(f"{plain_path(config)} names no SDF file of version 1.12 or less")
-        return folder / best
-    if is_file(folder / "model.sdf"):
-        return folder / "model.sdf"
-    raise LoadError(f"{plain_path(folder)} has no model.config that names its SDF file")
 
 
 def _without_actuator(axis: Element) -> None:
@@ -743,12 +748,6 @@ def _without_actuator(axis: Element) -> None:
     limit = _element("limit", axis)
     limit.append(_element("effort", axis, "0"))
     axis.append(limit)
-
-
-def _version(element: Element) -> tuple[int, ...]:
-    """Return the version of SDF that an element states; (0,) if it is missing or not valid."""
-    numbers = element.get("version", "").strip().split(".")
-    return tuple(map(int, numbers)) if all(map(str.isdigit, numbers)) else (0,)
 
 
 def _is_outdated(key: str, place: _Place) -> bool:

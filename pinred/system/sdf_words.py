@@ -14,6 +14,7 @@ from enum import Enum
 ANY = "*"  # key of a table for all words without a key of their own
 WIND, STATES, PLUGINS, CONTACT = "wind", "initial states in the file", "plugins", "contact"
 BUOYANCY, GRIPPERS, UNKNOWN = "buoyancy", "grippers", "unknown words"
+REPEATED = "repeated elements"
 ADDED_MASS, BUSHINGS = "added mass of a fluid", "bushings"
 LINK_SPRINGS, TENDONS = "springs between links", "tendons"
 CONTROLLERS, MOTORS = "controllers", "motors of joints"
@@ -241,6 +242,12 @@ TABLES: Mapping[str, Mapping[str, Word]] = {
 # Words that later versions of SDF do not define, and the first of these versions.  Gazebo ignores
 # them there.
 REMOVED = {"use_parent_model_frame": (1, 7), "@frame": (1, 7)}
+
+# Elements of which a file may have several; of others only the first is read.
+SEVERAL = {
+    *("model", "include", "link", "joint", "frame", "collision", "mimic", "physics"),
+    *("drake:joint", "drake:ball_constraint", "drake:mimic"),
+}
 
 # Parts of collision shapes that Drake gets for links whose inertia follows from their shapes.
 SHAPE = ("pose", "geometry", "density")

@@ -7,34 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from itertools import pairwise
-from pathlib import Path
-from pkgutil import iter_modules
 
 import pinocchio as pin
 
 from ..common.errors import InputError, ModelError
 from ..common.names import listed, quoted
-from . import joint_types
-from .joint_types.joint_type import JointType, Part
+from .joint_types import JOINT_TYPES, Part
 from .joints import is_shape_joint, motion_group, root_chain
 from .locked_joints import LockValue
 from .rebuild import NewJoint, rebuild
 from .robot_file_contents import Coupling
 
-
-def _types() -> dict[str, JointType]:
-    """Return the joint types defined in `joint_types`, by Pinocchio's names of their joints."""
-    types: dict[str, JointType] = {}
-    for module in iter_modules([str(Path(joint_types.__file__).parent)]):
-        contents = vars(import_module(f"{joint_types.__name__}.{module.name}"))
-        found = [value for value in contents.values() if isinstance(value, JointType)]
-        types |= {kind: joint_type for joint_type in found for kind in joint_type.kinds}
-    return types
-
-
-TYPES = _types()
+# Joint types by Pinocchio's names of their joints.
+TYPES = {kind: joint_type for joint_type in JOINT_TYPES for kind in joint_type.kinds}
 
 
 @dataclass(frozen=True, eq=False)

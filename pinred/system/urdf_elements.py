@@ -27,6 +27,7 @@ UNLIMITED = 1.7e308  # position limit that represents infinity, because the pars
 _DIGITS = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
 _NUMBER = re.compile(_DIGITS, re.ASCII)
 _WITH_COMMAS = re.compile(rf"\s*{_DIGITS}(\s*,\s*{_DIGITS})+\s*", re.ASCII)
+_BLANKS = re.compile(r"[ \t\r\n]+")
 _LISTS = ("xyz", "rpy", "size", "scale", "rgba")  # attributes that contain several numbers
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _NEEDS_LIMITS = ("revolute", "prismatic")
@@ -90,9 +91,8 @@ def prepare(robot: Element) -> None:
         kind = joint.get("type", "").strip()
         kind = _SAME_TYPES.get(kind, kind)
         if kind not in _TYPES:
-            raise ModelError(
-                f"{name} has the type {quoted(kind)}; replace it by one of {listed(_TYPES, 20)}"
-            )
+            shown = f"the type {quoted(kind)}; replace it by" if kind else "no type; state"
+            raise ModelError(f"{name} has {shown} one of {listed(_TYPES, 20)}")
         joint.set("type", kind)
         if joint.tag == "drake:joint":
             joint.tag = "joint"
@@ -132,6 +132,7 @@ def check_urdf(robot: Element) -> None:
         _check_origin(robot, joint.find("origin"), owner)
         if joint.get("type") != "fixed":
             _check_axis(joint)
+            _check_friction(joint)
     for link in robot.findall("link"):
         owner, inertials = f"link {quoted(link.get('name', '?'))}", link.findall("inertial")
         if len(inertials) > 1:
@@ -209,7 +210,9 @@ def _check_links(robot: Element) -> None:
         owner = f"joint {quoted(joint.get('name', '?'))}{place(joint)}"
         for tag in ("parent", "child"):
             end = joint.find(tag)
-            name = "" if end is None else end.get("link", "")
+            if end is None or not end.get("link"):
+                raise ModelError(f'{owner} names no {tag}; add <{tag} link="…"/>')
+            name = end.get("link", "")
             if name not in links:
                 raise ModelError(
                     f"the {tag} of {owner} is the link {quoted(name)}, which the file does not "
@@ -427,7 +430,8 @@ def file_springs(robot: Element) -> tuple[tuple[Spring, ...], tuple[LeftOut, ...
         owner, dynamics = f"joint {quoted(name)}", joint.find("dynamics")
         stiffness = _stated(dynamics, ("stiffness", "spring_stiffness"), owner)
         for gazebo in extensions.get(name, []):
-            stiffness["springStiffness of <gazebo>"] = _content(gazebo, "springStiffness", owner)
+            key = f"springStiffness of <gazebo>{place(gazebo)}"
+            stiffness[key] = _content(gazebo, "springStiffness", owner)
         k = _agreed(stiffness, f"{owner}{place(joint)}") if stiffness else 0.0
         if not k:
             continue
@@ -437,7 +441,8 @@ def file_springs(robot: Element) -> tuple[tuple[Spring, ...], tuple[LeftOut, ...
         rest = _stated(dynamics, ("spring_reference", "spring_mount"), owner)
         for gazebo in extensions.get(name, []):
             if gazebo.find("springReference") is not None:
-                rest["springReference of <gazebo>"] = _content(gazebo, "springReference", owner)
+                key = f"springReference of <gazebo>{place(gazebo)}"
+                rest[key] = _content(gazebo, "springReference", owner)
         springs.append(Spring(name, k, _agreed(rest, owner) if rest else 0.0))
     return tuple(springs), (LeftOut(SPRINGS, tuple(left_out)),) if left_out else ()
 
@@ -575,7 +580,7 @@ def _check_origin(robot: Element, origin: Element | None, owner: str) -> None:
     if "rpy" in origin.attrib:
         raise ModelError(f"{owner}{place(origin)} has both rpy and quat_xyzw; keep one of them")
     if not floats(origin, "quat_xyzw", owner, 4).any():
-        raise ModelError(f"{owner}{place(origin)} has a quaternion of zeros")
+        raise ModelError(f"{owner}{place(origin)} has a quaternion of zeros; state an attitude")
 
 
 def _check_axis(joint: Element) -> None:
@@ -587,21 +592,38 @@ def _check_axis(joint: Element) -> None:
             raise ModelError(f"planar {name}{place(joint)} has no <axis>; add <axis xyz='0 0 1'/>")
         return
     if not floats(axis, "xyz", f"the axis of {name}", 3).any():
-        raise ModelError(f"the axis of {name}{place(axis)} is zero")
+        raise ModelError(f"the axis of {name}{place(axis)} is zero; state a direction")
+
+
+def _check_friction(joint: Element) -> None:
+    dynamics, owner = joint.find("dynamics"), f"joint {quoted(joint.get('name', '?'))}"
+    if dynamics is None or "friction" not in dynamics.attrib:
+        return
+    values = dynamics.get("friction", "").split()
+    most = floats(dynamics, "friction", f"the dynamics of {owner}", max(1, len(values)))
+    if (most < 0.0).any():
+        raise ModelError(
+            f"{owner}{place(dynamics)} has negative friction {most.min():g}; it must be zero or "
+            "positive"
+        )
 
 
 def _check_inertial(inertial: Element, owner: str) -> None:
     mass, inertia = inertial.find("mass"), inertial.find("inertia")
     if mass is None or inertia is None:
         missing = "mass" if mass is None else "inertia"
-        raise ModelError(f"{owner} has an inertial element{place(inertial)} without <{missing}>")
+        raise ModelError(
+            f"{owner} has an inertial element{place(inertial)} without <{missing}>; add it"
+        )
     if len(masses := inertial.findall("mass")) > 1:
         raise ModelError(
             f"{owner} has {len(masses)} elements <mass>{place(masses[1])}; keep only one of them"
         )
     (value,) = floats(mass, "value", f"the mass of {owner}", 1)
     if value < 0:
-        raise ModelError(f"{owner}{place(mass)} has negative mass {value:g}")
+        raise ModelError(
+            f"{owner}{place(mass)} has negative mass {value:g}; it must be zero or positive"
+        )
     for key in _MOMENTS:
         floats(inertia, key, f"the inertia of {owner}", 1)
 
@@ -618,7 +640,7 @@ def floats(element: Element, key: str, owner: str, size: int) -> Array:
         ModelError: The attribute does not consist of `size` finite numbers.
     """
     text = element.get(key, "") if key else element.text or ""
-    words = text.split()
+    words = _BLANKS.split(text.strip(" \t\r\n"))  # unlike str.split, only at blanks of XML
     values = np.array([float(w) for w in words if _NUMBER.fullmatch(w)])
     if len(values) != len(words) or len(values) != size or not np.isfinite(values).all():
         raise ModelError(

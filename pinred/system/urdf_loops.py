@@ -23,7 +23,7 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import ModelError
 from ..common.names import listed, nearest, quoted
-from .loops.loop import Loop, LoopKind
+from .loops.loop import HEAVY_GROUND, Loop, LoopKind
 from .robot_file_contents import LeftOut
 from .robot_files import place
 from .urdf_elements import floats, origin_of, rotation_to
@@ -99,7 +99,7 @@ def take_closing_joints(robot: Element) -> tuple[tuple[ClosingJoint, ...], tuple
                     f"joint {joint.label} ties link {quoted(tied)} to the world, so the base "
                     f"{quoted(next(iter(_roots(robot)), '?'))} cannot move freely, which breaks "
                     f"the symmetry; remove it, or make {quoted(tied)} the base: a <joint> from a "
-                    "link 'world' carries it, and it carries the others"
+                    f"link 'world' carries it, and it carries the others; or {HEAVY_GROUND}"
                 )
             if name not in links:
                 raise ModelError(

@@ -17,9 +17,9 @@ from xml.etree.ElementTree import Element
 from ..common.names import plain, quoted
 from .robot_file_contents import LeftOut
 from .robot_files import place
-from .sdf_words import PLUGINS, plugin_kind, waits_for_commands
+from .sdf_words import PLUGINS, REPEATED, plugin_kind, waits_for_commands
 
-UNKNOWN, REPEATED = "elements and attributes that pinred does not know", "repeated elements"
+UNKNOWN = "elements and attributes that pinred does not know"
 QUATERNION = "attitudes by quat_xyzw, which need version 1.1 of URDF"
 VERSION = "unknown versions of URDF"
 _VERSION = re.compile(r"1\.([012])", re.ASCII)

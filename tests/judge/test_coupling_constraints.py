@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 from coupled_trees import CoupledCase, coupled_cases, make_case, multipliers
 from hypothesis import given, settings
+from loop_robots import five_bar
 from robot_texts import joint, link, robot, write
 from trees import random_model
 
@@ -17,6 +18,9 @@ import pinred
 from pinred.judge import coupling_constraints as module
 from pinred.judge.coupling_constraints import CouplingConstraints
 from pinred.judge.reference_solution import FullState
+from pinred.system.loops.kinematics import LoopKinematics
+
+X = np.array([0.4, 0.0, 0.0])
 
 MASSLESS = robot(
     *(link(name, mass) for name, mass in (("a", 2.0), ("b", 2.0), ("c", 0.0), ("d", 1.0))),
@@ -227,3 +231,41 @@ def test_compare_passes_for_robots_with_grippers(name: str) -> None:
     readable = pinred.simulate(scene, engine="pinocchio")
     np.testing.assert_allclose(readable.q, traj.q, atol=1e-8)
     np.testing.assert_allclose(readable.v, traj.v, atol=1e-7)
+
+
+def test_acceleration_with_loops_of_light_links() -> None:
+    """The loops stay closed to round-off; the motion is that of a projection on their kernel."""
+    model, loops = five_bar()
+    base, parents = 1, []
+    for name, x in (("near", 0.2), ("far", 0.8)):
+        place = pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
+        first = model.addJoint(base, pin.JointModelRZ(), place, name)
+        second = model.addJoint(first, pin.JointModelRZ(), pin.SE3(np.eye(3), X), f"{name}_tip")
+        for joint_id in (first, second):
+            light = pin.Inertia(1e-8, 0.5 * X, 1e-9 * np.eye(3))
+            model.appendBodyToJoint(joint_id, light, pin.SE3.Identity())
+        parents.append(second)
+        kind = pin.FrameType.OP_FRAME
+        model.addFrame(pin.Frame(f"{name}_end", second, 0, pin.SE3(np.eye(3), X), kind))
+    system = pinred.load(model, loops=[*loops, pinred.Loop("near_end", "far_end", "3d", "light")])
+    constraints, at = CouplingConstraints(system), system.closure
+    assert at is not None
+    model, rng = system.sorted_model, np.random.default_rng(0)
+    q = system.q(system.group.identity(), at.x)
+    kinematics = LoopKinematics(model, system.loops)
+    J = kinematics.jacobian(q)
+    kernel = np.linalg.svd(J)[2][np.linalg.matrix_rank(J, tol=1e-9) :].T
+    v, tau = kernel @ rng.normal(size=kernel.shape[1]), rng.normal(size=model.nv)
+    tau[-4:] *= 1e-8  # forces of the light links
+    b = kinematics.bias(q, v)
+    data = model.createData()
+    upper = np.triu(pin.crba(model, data, q))
+    H, drift = upper + np.triu(upper, 1).T, -np.linalg.pinv(J, 1e-9) @ b
+    force = tau - pin.nonLinearEffects(model, data, q, v) - H @ drift
+    scale = 1.0 / np.sqrt(np.diag(kernel.T @ H @ kernel))
+    G = kernel * scale
+    expected = drift + G @ np.linalg.solve(G.T @ H @ G, G.T @ force)
+    for axes, digits in ((pin.Convention.LOCAL, 1e-15), (pin.Convention.WORLD, 1e-10)):
+        a = constraints.acceleration(q, v, tau, axes=axes)
+        assert np.abs(J @ a + b).max() <= 10.0 * digits * (np.abs(J) @ np.abs(a)).max()
+        np.testing.assert_allclose(a, expected, rtol=0, atol=1e-6 * np.abs(expected).max())

@@ -472,3 +472,25 @@ def test_entries_of_a_kind_that_all_cancel_have_the_round_off_of_their_terms() -
     scaled_by = np.add(expected, [0.0, 1e-4, 0.0])
     with pytest.raises(pinred.KernelMismatch, match="momentum"):
         accept(np.add(scaled_by, [1.5e-10, 0.0, 0.0]), scaled_by, terms)
+
+
+def test_balanced_bodies_have_the_round_off_of_their_masses() -> None:
+    """Three welded balls: their levers cancel in H, and the round-off of 1e-17 m remains."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+    I = np.array([[2.94465, 2.2e-16, 0.0], [2.2e-16, 2.94465, 0.0], [0.0, 0.0, 5.69153]])
+    model.appendBodyToJoint(
+        joint, pin.Inertia(7.911, np.array([1.4e-17, 2.8e-17, 0.0]), I), pin.SE3.Identity()
+    )
+    system = pinred.load(model, gravity=[0.0, 0.0, 0.0])
+    assert pinred.compare(pinred.simulate(system, seed=0, duration=0.2)).passed
+
+
+def test_linear_momentum_terms_contain_masses_at_the_reach() -> None:
+    """Each component has the largest of |H| |v|, plus mass · reach · Σ |ω|."""
+    kernel = build("tree")
+    at = random_state(kernel, np.random.default_rng(0), 1.0)
+    assert at is not None
+    size = (np.abs(at.H) @ np.abs(at.v))[:3].max()
+    size += kernel.system.mass * at.reach * np.abs(at.v[3:6]).sum()
+    assert at.momentum_terms[:3] == pytest.approx(np.full(3, size), rel=1e-12)

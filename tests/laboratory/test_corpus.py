@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 import time
 from dataclasses import replace
@@ -25,7 +26,7 @@ from pinred.laboratory.corpus.scope import why_not_due
 from pinred.laboratory.corpus.second_reader import differences
 from pinred.laboratory.corpus.trial import TrialOptions, run_trial
 from pinred.laboratory.corpus.worker import Worker
-from pinred.system import drake_comparison
+from pinred.system import independent_reader
 
 QUICK = TrialOptions(duration=0.05)
 ARM = f'<body name="arm">{HINGE}{MASS}</body>'
@@ -128,6 +129,22 @@ def test_second_reader_compares_balls(tmp_path: Path) -> None:
     assert max(result.places, result.mass, result.forces) < 1e-12
 
 
+@pytest.mark.parametrize("error", [0.0, 1e-8])
+def test_second_reader_holds_joints_as_mujoco_does(error: float, tmp_path: Path) -> None:
+    """An equality holds a joint with a reference; a wrong value of pinred's is detected."""
+    held = '<body name="held" pos="0 0 .3"><joint name="k" axis="1 0 0" ref="20"/>' + MASS
+    text = mjcf(body(f"<freejoint/>{held}</body>{ARM}")).replace(
+        "</mujoco>", '<equality><joint joint1="k" polycoef="0.3 0 0 0 0"/></equality></mujoco>'
+    )
+    file = write_robot(tmp_path, text)
+    value = math.radians(20.0) + 0.3 + error
+    result = differences(pinred.load(file, lock={"k": value}), file, "mjcf", None)
+    assert (result.mass < 1e-12) == (result.places < 1e-12) == (error == 0.0)
+    assert pinred.load(file).contents.locked.frozen == pytest.approx(
+        {"k": value - error}, abs=1e-15
+    )
+
+
 @pytest.mark.parametrize("what", ["gravity", "axis", "place"])
 def test_second_reader_detects_differences(what: str, tmp_path: Path) -> None:
     """Different gravity, axis or position of a joint is detected."""
@@ -176,11 +193,11 @@ def test_sdf_files_are_compared_with_drake(tmp_path: Path, monkeypatch: pytest.M
     assert "Drake does not open it" in entries["wrong"].why_not
     assert "sdf" in str(Corpus(tuple(entries.values())))
 
-    class Wrong(drake_comparison._Pair):
+    class Wrong(independent_reader._Pair):
         def difference(self, rng: Any) -> float:
             return super().difference(rng) + 1e-6
 
-    monkeypatch.setattr(drake_comparison, "_Pair", Wrong)
+    monkeypatch.setattr(independent_reader, "_Pair", Wrong)
     entry = run_trial(next(d for d in found if d.file.endswith("arm.sdf")), QUICK)
     assert (entry.outcome, entry.about) == ("FAILED", "Drake reads it differently")
 

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
 from loop_robots import crank_angles, four_bar, gripper, random_loops
+from robot_texts import body, joint, link, mjcf, robot
+from scipy.integrate import solve_ivp
+from scipy.optimize import fsolve
 
 import pinred
 from pinred.cli.main import main
+from pinred.common.arrays import Array
 from pinred.common.errors import InputError, ModelError
 from pinred.system.loops.kinematics import LoopKinematics
 from pinred.system.loops.loop import KINDS, Loop, parse_loops
@@ -68,9 +73,9 @@ def test_gripper_of_mjcf_has_the_gaps_that_mujoco_measures(tmp_path: Path) -> No
     x = np.random.default_rng(0).uniform(-0.3, 0.3, system.m)
     q = system.q(system.group.identity(), x)
     names = [str(name) for name in system.model.names]
-    for joint in range(1, model.njnt):
-        at = system.model.joints[names.index(model.joint(joint).name)].idx_q
-        data.qpos[model.jnt_qposadr[joint]] = q[at]
+    for number in range(1, model.njnt):
+        at = system.model.joints[names.index(model.joint(number).name)].idx_q
+        data.qpos[model.jnt_qposadr[number]] = q[at]
     mujoco.mj_forward(model, data)
     expected = [np.linalg.norm(data.efc_pos[3 * k : 3 * k + 3]) for k in range(2)]
     found = np.linalg.norm(loop_values(system, x).reshape(2, 3), axis=1)
@@ -172,3 +177,63 @@ URDF = (
     + _link("rocker", "frame", 1.0)
     + "</robot>"
 )
+
+
+def test_heavy_ground_moves_a_mechanism_as_a_fixed_one(tmp_path: Path) -> None:
+    """The example of docs/robots.md against the closed form of a four-bar on a fixed ground."""
+    page = (Path(__file__).parents[2] / "docs/robots.md").read_text("utf-8")
+    example = page.partition("### Mechanisms on the ground")[2]
+    code = example.partition("```python\n")[2].partition("```")[0]
+    scope: dict[str, Any] = {"pinred": pinred}
+    exec(compile(code, "robots.md", "exec"), scope)
+    motion = scope["motion"]
+    crank, coupler, rocker = (motion.system.shape_names.index(n) for n in scope["L"])
+    start = motion.x[0]
+
+    def bars(angle: float) -> tuple[float, float, Array]:
+        """Return the angles of coupler and rocker, and their ratios to the crank's rate."""
+
+        def gap(z: Array) -> list[float]:
+            x = 0.3 * np.cos(angle) + 0.8 * np.cos(z[0]) - 0.7 - 0.6 * np.cos(z[1])
+            return [x, 0.3 * np.sin(angle) + 0.8 * np.sin(z[0]) - 0.6 * np.sin(z[1])]
+
+        b, g = fsolve(gap, [start[crank] + start[coupler], start[rocker]], xtol=1e-12)
+        J = [[-0.8 * np.sin(b), 0.6 * np.sin(g)], [0.8 * np.cos(b), -0.6 * np.cos(g)]]
+        right = [0.3 * np.sin(angle), -0.3 * np.cos(angle)]
+        return float(b), float(g), np.linalg.solve(J, right)
+
+    def energies(angle: float) -> tuple[float, float]:
+        """Return the effective moment of inertia and the potential energy."""
+        b, g, (rb, rg) = bars(angle)
+        vx = -0.3 * np.sin(angle) - 0.4 * np.sin(b) * rb
+        vy = 0.3 * np.cos(angle) + 0.4 * np.cos(b) * rb
+        inertia = 0.3**2 / 3 + 2 * (vx**2 + vy**2) + 2 * 0.8**2 / 12 * rb**2 + 1.5 * 0.12 * rg**2
+        heights = 0.15 * np.sin(angle), 0.3 * np.sin(angle) + 0.4 * np.sin(b), 0.3 * np.sin(g)
+        return inertia, 9.81 * float(np.dot([1.0, 2.0, 1.5], heights))
+
+    inertia, potential = energies(start[crank])
+    energy = 0.5 * inertia * 49.0 + potential
+
+    def rate(_: float, angle: Array) -> float:
+        inertia, potential = energies(float(angle[0]))
+        return float(np.sqrt(2.0 * (energy - potential) / inertia))
+
+    exact = solve_ivp(rate, (0.0, 0.3), [start[crank]], rtol=1e-12, atol=1e-13).y[0, -1]
+    assert abs(motion.x[-1, crank] - exact) < 1e-9
+    for text, words in WORLD_LOOPS.items():
+        path = tmp_path / "robot.xml"
+        path.write_text(text, "utf-8")
+        with pytest.raises(ModelError, match="Mechanisms on the ground") as caught:
+            pinred.load(path)
+        assert words in str(caught.value)
+
+
+WORLD_LOOPS = {
+    mjcf(body("<freejoint/>", "a")).replace(
+        "</mujoco>", '<equality><connect body1="a" anchor="0 0 0"/></equality></mujoco>'
+    ): "ties 'a' and 'world'",
+    robot(
+        link("a"), link("b"), joint("a", "b"),
+        '<loop_joint name="l" type="ball"><link1 link="b"/><link2 link="world"/></loop_joint>',
+    ): "joint 'l' (line 1) ties link 'b' to the world",
+}  # fmt: skip

@@ -123,7 +123,9 @@ def test_leader_that_becomes_root_can_be_locked(tmp_path: Path) -> None:
     """On a massless anchor the first joint is the root; locking it locks its follower."""
     parts = [link("a", 0.0), link("b"), link("c"), joint("a", "b")]
     path = write(tmp_path, robot(*parts, joint("b", "c", content=AXIS + mimic("a-b"))))
-    with pytest.raises(ModelError, match=r"'b-c' follows 'a-b'.*root joint 'a-b'.*Lock 'a-b'"):
+    with pytest.raises(
+        ModelError, match=r"'b-c' \(line 1\) follows 'a-b'.*root joint 'a-b'.*Lock 'a-b'"
+    ):
         pinred.load(path)
     assert pinred.load(path, lock=["a-b"], group="SE3").m == 0
 

@@ -177,7 +177,7 @@ def test_strict_loading_refuses_a_misread_file_by_name(tmp_path: Path) -> None:
     path = write(tmp_path, FLOATING)
     assert pinred.load(path).m == 1
     for source in ({"source": path}, {"text": FLOATING}):
-        with pytest.raises(ModelError, match=r"strict=True: Pinocchio.*joint 'a-b': .*placement"):
+        with pytest.raises(ModelError, match=r"strict=True: Pinocchio.*joint 'a-b' .*placement"):
             pinred.load(**source, strict=True)
 
 

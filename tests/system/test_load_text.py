@@ -81,7 +81,7 @@ def test_recording_of_a_text_names_no_source(tmp_path: Path) -> None:
         ("", "the text is empty"),
         ("no robot", "the text is not XML"),
         ("<robot name='r'>", "the text is not XML"),
-        ("<house/>", "the text is neither URDF"),
+        ("<house/>", r"the text, line 1: expected <robot> \(URDF\)"),
         ("<!DOCTYPE a><robot name='r'/>", "the text declares a document type"),
         ("\udc80", "the text is not XML in UTF-8; save it in this encoding"),
     ],

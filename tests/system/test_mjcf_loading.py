@@ -432,3 +432,12 @@ def test_planar_motion_matches_mujoco() -> None:
     assert traj.x[-1] == pytest.approx(end.x, abs=1e-9)
     assert traj.pose[-1] == pytest.approx(end.pose, abs=1e-9)
     assert traj.xi[-1] == pytest.approx(end.xi, abs=1e-8)
+
+
+def test_comments_with_hyphens_load(tmp_path: Path) -> None:
+    """As in MuJoCo; in the file and in one that it includes."""
+    (tmp_path / "inner.xml").write_text(f"<mujocoinclude><!-- a -- b -->{arm()}</mujocoinclude>")
+    path = tmp_path / "arm.xml"
+    path.write_text(text('<!-- -- -->\n<include file="inner.xml"/>'), encoding="utf-8")
+    assert mujoco.MjModel.from_xml_path(str(path)).nv == 1
+    assert pinred.load(path).root_name == "arm"

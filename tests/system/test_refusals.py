@@ -83,7 +83,7 @@ FILES: dict[str, tuple[str, type[PinredError], list[str]]] = {
     ),
     "parent missing": (
         three(joint("b", "c").replace('<parent link="b"/>', "")),
-        ModelError, ["the parent of", "'b-c' (line 1)", "name a link"],
+        ModelError, ["'b-c' (line 1)", "names no parent", 'add <parent link="'],
     ),
     "joint universe": (
         chain("revolute").replace('name="b-c"', 'name="universe"'),

@@ -15,7 +15,7 @@ import pytest
 import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import ChoiceError
-from pinred.system.drake_comparison import mass_difference
+from pinred.system.independent_reader import mass_difference
 from pinred.system.passive import Damper, Friction, Spring
 from pinred.system.read_sdf import read_sdf
 from pinred.system.split_joints import split_joints
@@ -218,7 +218,7 @@ REFUSED = {
     "no parent": (
         sdf(*LINKS[:2], "\n", joint("one", "fixed", "nobody", "b")),
         pinred.LoadError,
-        r"Drake cannot read .*arm.sdf: parent frame with name\[nobody\]",
+        r"Drake cannot read .*arm.sdf, line 2: parent frame with name\[nobody\]",
     ),
     "a word without number": (
         sdf(*LINKS[:2], joint("one", "revolute", "a", "b", axis(

@@ -17,7 +17,7 @@ from test_sdf import LINKS, axis, joint, link, sdf, write
 import pinred
 from pinred.common.errors import ChoiceError
 from pinred.system import independent_reader
-from pinred.system.drake_comparison import ROUNDED, mass_difference
+from pinred.system.independent_reader import ROUNDED, mass_difference
 from pinred.system.loops.loop import parse_loops
 from pinred.system.passive import Damper, Friction, Spring
 from pinred.system.read_sdf import read_sdf
@@ -617,3 +617,97 @@ def test_strict_compares_an_sdf_file_with_drake(
     monkeypatch.setattr(independent_reader, "mass_difference", lambda *_: 1e-7)
     with pytest.raises(pinred.ModelError, match=r"Drake reads the file differently: its mass"):
         pinred.load(path, strict=True)
+
+
+FUEL = "https://fuel.gazebosim.org/1.0/Own Er/models/My%20Arm"
+
+
+@pytest.mark.parametrize("way", ["folder", "downloads", "version"])
+def test_downloaded_models_of_gazebo_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: str
+) -> None:
+    """In a folder of the call, or where Gazebo keeps its downloads, in the newest version."""
+    path = put(tmp_path / "main.sdf", world(include(f"{FUEL}/2" if way == "version" else FUEL)))
+    if way == "folder":
+        put(tmp_path / "store" / "My Arm" / "model.sdf", sdf(*ARM))
+        assert pinred.load(path, meshes=tmp_path / "store").shape_names == ("one",)
+        return
+    monkeypatch.setenv("GZ_FUEL_CACHE_PATH", str(tmp_path / "cache"))
+    store = tmp_path / "cache" / "fuel.gazebosim.org" / "own er" / "models" / "my arm"
+    put(store / "2" / "model.sdf", sdf(*ARM).replace('"one"', '"old"'))
+    put(store / "10" / "model.sdf", sdf(*ARM))
+    assert pinred.load(path).shape_names == (("old",) if way == "version" else ("one",))
+
+
+ZERO = ARM[3].replace("0 0 1", "0 0 0")
+SPHERE = '<frame name="f" attached_to="g"/>\n<frame name="g" attached_to="f"/>'
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (sdf(ARM[0], ARM[1], f"\n{ZERO}"), "line 2: the axis is zero; state a direction"),
+        (sdf(*ARM).replace("1.9", "2.0"), "line 1: pinred reads SDF up to version 1.12, not 2.0"),
+        (world(model("a", *ARM), "\n", model("a", *ARM)), "line 2: a second model is called 'a'"),
+        (
+            world(include("arm.sdf"), "\n", include("arm.sdf")),
+            "main.sdf, line 2: a second model is called 'm'; give the <include> another <name>",
+        ),
+        (sdf("\n", link("world")), "line 2: the name 'world' belongs to the ground; rename the li"),
+        (sdf(*ARM, "\n<include/>"), "line 2: <include> has no <uri>; add it"),
+        (world() + "\n", "contains no model"),
+        (
+            sdf(*ARM, '\n<drake:joint name="p" type="planar"><drake:parent/></drake:joint>'),
+            "line 2: joint 'p' has no <drake:child>; add it",
+        ),
+        (
+            sdf(ARM[0], ARM[1], "\n", ARM[3].replace(">arm<", ">leg<")),
+            "line 2: Child frame with name[leg] specified by joint with name[one] not found in "
+            "model with name[m]; name a link, joint, frame or model that exists",
+        ),
+        (sdf(ARM[0], "\n", ARM[0]), "line 2: Non-unique name[base] detected 2 times"),
+        (sdf(ARM[0], SPHERE), "attach one of the frames to a link"),
+        (
+            sdf(ARM[0], "\n", ARM[1].replace("0.2 0 0", "0.2")),
+            "line 2: Error reading element <pose",
+        ),
+        (
+            '<sdf version="1.9"><world name="a"/>\n<world name="b"/></sdf>',
+            "line 2: pinred reads one world of a file; remove the others",
+        ),
+        (sdf(include("model://broken")), "names the file 'none.sdf', which does not exist"),
+    ],
+)
+def test_message_names_element_line_and_remedy(text: str, words: str, tmp_path: Path) -> None:
+    """Also where Drake's message states no line."""
+    put(tmp_path / "arm.sdf", sdf(*ARM))
+    put(tmp_path / "broken" / "model.config", '<model><sdf version="1.9">none.sdf</sdf></model>')
+    with pytest.raises(pinred.PinredError) as caught:
+        pinred.load(put(tmp_path / "main.sdf", text))
+    assert words in str(caught.value)
+    assert "//" not in str(caught.value).replace("model://", "")
+
+
+def test_repeated_elements_are_reported(tmp_path: Path) -> None:
+    """Of a second mass, pose or axis the first one is read, as Drake does."""
+    twice = ARM[1].replace("<pose>", "<pose>0.2 0 0 0 0.3 0</pose>\n<pose>9", 1)
+    twice = twice.replace("</mass>", "</mass><mass>9</mass>")
+    path = put(tmp_path / "main.sdf", sdf(ARM[0], twice, *ARM[2:]))
+    with pytest.warns(pinred.LeftOutWarning, match="repeated elements"):
+        (left,) = pinred.load(path).left_out
+    assert left.names == ("arm: <pose> (line 2)", "arm: <mass> (line 2)")
+    assert mass_difference(path, read_sdf(path)) < 1e-13
+    assert not pinred.load(put(tmp_path / "all.sdf", sdf(*ARM))).left_out
+
+
+@pytest.mark.parametrize(("old", "new"), [("<ixx>", "<ixx>9"), ("<mass>", "<mass>-"), ("", "")])
+def test_inertias_of_static_models_do_not_matter(old: str, new: str, tmp_path: Path) -> None:
+    """Moments that no body has, and negative masses; Drake refuses both."""
+    ground = GROUND.replace(old, new) if old else GROUND
+    path = put(tmp_path / "main.sdf", world(ground, model("robot", *ARM)))
+    system = pinred.load(path)
+    alone = pinred.load(put(tmp_path / "arm.sdf", sdf(*ARM)))
+    assert system.left_out == ()
+    np.testing.assert_array_equal(
+        pinred.Reduction(system).mass_matrix([0.3]), pinred.Reduction(alone).mass_matrix([0.3])
+    )

@@ -349,6 +349,6 @@ def test_massless_link_is_accepted_inside_and_refused_at_end(tmp_path: Path) -> 
     assert pinred.load(write(tmp_path, middle), strict=True).m == 2
     end = robot(link("a"), link("b"), link("c", 0), joint("a", "b"), joint("b", "c"))
     with pytest.raises(
-        ModelError, match=r"link 'c' moved by joint 'b-c' has no mass.*lock=\['b-c'\]"
+        ModelError, match=r"link 'c' \(line 1\) moved by joint 'b-c' .* has no mass.*lock=\['b-c'\]"
     ):
         pinred.load(write(tmp_path, end))

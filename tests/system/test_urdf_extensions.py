@@ -134,7 +134,9 @@ def test_springs_and_dampers_of_extensions_act(tmp_path: Path) -> None:
         '</gazebo><gazebo reference="b"><springStiffness>0</springStiffness></gazebo></robot>'
     )
     text = two('<dynamics damping="0.1" stiffness="0"/>').replace("</robot>", gazebo)
-    with pytest.raises(ModelError, match="stiffness = 0 and springStiffness of <gazebo> = 5"):
+    with pytest.raises(
+        ModelError, match=r"stiffness = 0 and springStiffness of <gazebo> \(line 1\) = 5"
+    ):
         pinred.load(write(tmp_path, text))
     with pytest.warns(LeftOutWarning, match="springs"):  # of link b
         system = pinred.load(write(tmp_path, text.replace(' stiffness="0"', "")))
@@ -393,7 +395,7 @@ def test_second_joint_of_a_link_between_two_trees_is_refused(tmp_path: Path) -> 
         ("<parent>right</parent>", "", r"'close' \(line 1\) closes a loop, but has no <parent>"),
         ("<parent>right</parent>", "<parent>rigth</parent>", r"'close' \(line 1\).*'rigth'.*right"),
         ("0.3 0 0 0 0.1 0", "0.3 0 0", r"pose of joint 'close' \(line 1\)"),
-        ("0 1 0", "0 0 0", "axis of joint 'close' is zero"),
+        ("0 1 0", "0 0 0", r"axis of joint 'close' \(line 1\) is zero"),
         ("<pose>", '<pose relative_to="j_left">', r"'close' \(line 1\).*'j_left'; refer to a link"),
     ],
 )
@@ -427,3 +429,56 @@ def test_shapes_on_joints_of_other_programs_are_drawn_at_their_links(
     assert solid.joint == frame.parentJoint
     expected = pin.SE3ToXYZQUAT(frame.placement * pin.SE3(np.eye(3), np.array([1.0, 2.0, 3.0])))
     np.testing.assert_allclose(solid.placement, expected, atol=1e-12)
+
+
+LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+GAZEBO_SPRING = '<gazebo reference="j"><springStiffness>{}</springStiffness></gazebo>'
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (two('<dynamics friction="-0.5"/>'), "'j' (line 4) has negative friction -0.5; it must"),
+        (two('<dynamics armature="-2"/>'), "joint 'j' (line 4) has armature -2; it must be zero"),
+        (two('<origin xyz="0.3\u00a00 0"/>'), "'j' (line 4): 'xyz' must be 3 finite number(s)"),
+        (
+            two().replace("</robot>", "".join(map(GAZEBO_SPRING.format, "34")) + "</robot>"),
+            "springStiffness of <gazebo> (line 4) = 3 and springStiffness of <gazebo> (line 5) = 4",
+        ),
+        (two().replace('child link="b"', "child"), "joint 'j' (line 4) names no child"),
+        (two().replace('type="revolute"', ""), "joint 'j' (line 4) has no type; state one of"),
+        (two().replace("0 0 1", "0 0 0"), "the axis of joint 'j' (line 4) is zero; state a direc"),
+        (two(kind="revolute").replace('mass value="', 'mass value="-'), "; it must be zero or"),
+    ],
+)  # fmt: skip
+def test_message_names_element_line_and_remedy(text: str, words: str, tmp_path: Path) -> None:
+    """Each element is on a line of its own."""
+    lines = text.replace("<link", "\n<link").replace("<joint", "\n<joint")
+    lines = "\n".join(line for line in lines.split("\n") if line)
+    path = write(tmp_path, lines.replace("/gazebo><gazebo", "/gazebo>\n<gazebo"))
+    with pytest.raises(ModelError) as caught:
+        pinred.load(path)
+    assert words in str(caught.value)
+
+
+def test_followers_of_joints_without_one_axis_are_refused_by_name(tmp_path: Path) -> None:
+    """The message names the joint that has no single axis, and its line."""
+    mimic = f'{Y}{LIMIT}<mimic joint="j"/>'
+    links = "\n".join(bar(name) for name in "abc")
+    for kinds, name, line in (("spherical revolute", "j", 4), ("revolute planar", "k", 5)):
+        first, second = kinds.split()
+        follower = on("k", "b", "c", second, mimic)
+        text = robot(links, f"\n{on('j', 'a', 'b', first, Y + LIMIT)}\n", follower)
+        with pytest.raises(ModelError, match=rf"joint '{name}' \(line {line}\) does not move"):
+            pinred.load(write(tmp_path, text))
+
+
+def test_lines_are_added_to_messages_about_the_model(tmp_path: Path) -> None:
+    """Also in texts, but not for names of several elements, nor to messages about arguments."""
+    text = robot(bar("a"), "\n", link("b", 0.0), "\n", on("j", "a", "b", inside=Y + LIMIT))
+    for source in ({"source": write(tmp_path, text)}, {"text": text}):
+        with pytest.raises(ModelError, match=r"link 'b' \(line 2\) moved by joint 'j' \(line 3\)"):
+            pinred.load(**source)
+    with pytest.raises(pinred.InputError) as caught:
+        pinred.load(text=two(), lock={"nix": 0.0})
+    assert "line" not in str(caught.value)

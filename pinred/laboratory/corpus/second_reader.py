@@ -8,7 +8,7 @@ file fixes a base that floats in pinred, the MuJoCo model gets a free joint at t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -151,7 +151,11 @@ class _Pair:
             raise LoadError(f"MuJoCo has no joint '{missing[0]}'")
         self._shape = [ids[name] for name in names]
         self._shape_v = _dofs(model, self._shape)
-        self._dofs = _dofs(model, world.all_joints)
+        locked = system.contents.locked
+        self._held = _held(
+            mj, model, {} if locked is None else {ids[k]: v for k, v in locked.frozen.items()}
+        )
+        self._dofs = _dofs(model, [j for j in world.all_joints if j not in self._held])
         frames = system.model.frames
         self._bodies = [
             (system.model.getFrameId(world.body_names[body], pin.FrameType.BODY), body)
@@ -177,6 +181,8 @@ class _Pair:
         model, data = self._system.model, self._pin
         d.qpos[:] = m.qpos0 + rng.uniform(-1.0, 1.0, m.nq)
         d.qvel[:] = rng.normal(size=m.nv)
+        for joint, value in self._held.items():
+            d.qpos[m.jnt_qposadr[joint]], d.qvel[m.jnt_dofadr[joint]] = value, 0.0
         mj.mj_normalizeQuat(m, d.qpos)
         mj.mj_forward(m, d)
         rates = d.qvel[self._dofs]
@@ -293,6 +299,23 @@ class _Pair:
             terms += S[:3].sum(axis=0) * force + S[3:].sum(axis=0) * moment
         terms += model.armature * np.abs(a)
         return np.asarray(np.abs(T).T @ terms + 1e-300)
+
+
+def _held(mj: Any, model: Any, frozen: Mapping[int, float]) -> dict[int, float]:
+    """Return the values of the joints that equality constraints hold, by number.
+
+    Args:
+        mj: The module mujoco.
+        model: MuJoCo's model.
+        frozen: Values by pinred.  MuJoCo's own numbers replace them, except for tendons.
+    """
+    held = dict(frozen)
+    for k in np.flatnonzero(model.eq_active0).tolist():
+        joint = int(model.eq_obj1id[k])
+        is_joint = model.eq_type[k] == int(mj.mjtEq.mjEQ_JOINT)
+        if is_joint and joint in held and model.eq_obj2id[k] < 0:
+            held[joint] = float(model.qpos0[model.jnt_qposadr[joint]] + model.eq_data[k, 0])
+    return held
 
 
 def _dofs(model: Any, joints: Iterable[int]) -> Array:

@@ -12,6 +12,8 @@ from ...common.names import brief, quoted
 
 LoopKind = Literal["3d", "6d", "x", "y", "z"]
 KINDS: tuple[str, ...] = get_args(LoopKind)
+# Remedy for loops through the world.
+HEAVY_GROUND = "describe the ground as a heavy root link (docs/robots.md, Mechanisms on the ground)"
 _KEYS = ("frame_a", "frame_b", "kind", "name", "coupled")
 
 

@@ -14,7 +14,7 @@ from ...common.errors import InputError, ModelError
 from ...common.names import quoted
 from .joint_laws import JointLaw
 from .kinematics import loop_ends
-from .loop import Constraint, JointPolynomial, Loop
+from .loop import HEAVY_GROUND, Constraint, JointPolynomial, Loop
 from .loop_assembly import (
     CLOSED,
     NEARBY,
@@ -130,7 +130,7 @@ def _check_loop(system: LoopedSystem, loop: Loop) -> None:
         if end.joint == 0:
             raise InputError(
                 f"loops: loop {quoted(loop.name)} attaches the robot to the world, which breaks "
-                "the symmetry. Remove it, or attach it to a moving link."
+                f"the symmetry. Remove it, attach it to a moving link, or {HEAVY_GROUND}."
             )
     if not _path(system, a.joint) ^ _path(system, b.joint):
         raise InputError(

@@ -20,7 +20,7 @@ from ...common.errors import LoadError, ModelError, PinredError
 from ...common.files import is_file, is_special
 from ...common.library_output import library_output
 from ...common.names import plain_path
-from ..robot_files import read_text
+from ..robot_files import read_text, without_hyphens
 from .package import is_mujoco, mujoco_package, warnings_kept
 
 # Lines that MuJoCo's XML reader prints itself.
@@ -298,7 +298,7 @@ def _measure(path: Path, text: str, size: _Measure, depth: int) -> None:
     parser = expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = start, end
     try:
-        parser.Parse(text, True)
+        parser.Parse(without_hyphens(text), True)
     except expat.ExpatError as error:
         raise LoadError(f"{plain_path(path)} is not XML: {error}") from None
     size.reading.pop()

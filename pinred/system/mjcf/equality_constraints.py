@@ -15,8 +15,8 @@ import pinocchio as pin
 from ...common.errors import ModelError
 from ..coupling import ties_of, with_constants, with_followers
 from ..locked_joints import Tie
+from ..loops.loop import HEAVY_GROUND, JointPolynomial, Loop, LoopKind
 from ..loops.loop import Constraint as LoopConstraint
-from ..loops.loop import JointPolynomial, Loop, LoopKind
 from ..robot_file_contents import Coupling
 from .linear_laws import (
     Constraint,
@@ -132,7 +132,7 @@ def _ties_outside(tree: Tree, constraint: Constraint) -> bool:
     raise ModelError(
         f"closed loops through the world are not supported, because they break the symmetry: "
         f"equality {constraint.kind} '{constraint.name}' ties {names}; remove it or set "
-        'active="false", or lock the joints between them (lock=)'
+        f'active="false", lock the joints between them (lock=), or {HEAVY_GROUND}'
     )
 
 
