@@ -22,7 +22,7 @@ for cell in (
     "print('frames', len(traceback.extract_tb(sys.last_value.__cause__.__traceback__)))",
     "def ell(xi):\\n    return {}['missing']",
     "pinred.equations.euler_poincare_of_lagrangian(cat.group, ell, [0.0] * 6)",
-    "try:\\n    pinred.load('first.urdf')\\nexcept pinred.LoadError:\\n    pinred.load('second.urdf')",
+    "try:\\n    pinred.load('1.urdf')\\nexcept pinred.LoadError:\\n    pinred.load('2.urdf')",
 ):
     print("CELL")
     shell.run_cell(cell)
@@ -53,8 +53,8 @@ def test_tracebacks_in_notebooks_end_at_the_call() -> None:
         assert int(text.split()[1]) >= 3
     assert "----> 2     return {}['missing']" in in_function
     assert "KeyError: 'missing'\n\nThe above exception was the direct cause" in in_function
-    assert "first.urdf" in second.partition("During handling")[0]
-    assert "LoadError: no such file: second.urdf" in second
+    assert "1.urdf" in second.partition("During handling")[0]
+    assert "LoadError: no such file: 2.urdf" in second
 
 
 def test_environment_variable_restores_all_frames() -> None:
