@@ -24,7 +24,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add_scene(sub)
     add_options(sub, {name: RUN_OPTIONS[name] for name in ("samples", "checkpoint")})
     sub.set_defaults(samples=EVEN_TIMES)
-    sub.add_argument("--out", metavar="FILE", required=True, help="traj.npz or traj.csv")
+    sub.add_argument("--out", metavar="FILE", required=True, help="traj.npz, csv, h5, zarr or xml")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -33,8 +33,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     from ..common.files import check_path
     from ..simulation.simulate import simulate
+    from ..simulation.trajectory_files import FOLDERS, SUFFIXES
 
-    path = check_path(arguments.out)
+    path = check_path(arguments.out, SUFFIXES, folders=FOLDERS)
     scene = scene_of(arguments)
     if arguments.samples < 2:
         raise InputError(f"--samples must be at least 2, got {arguments.samples}")
