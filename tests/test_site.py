@@ -150,6 +150,9 @@ def test_gallery_shows_every_kind_of_figure() -> None:
     assert shown == list(commands)
     assert {path.stem for path in (DOCS / "pictures").glob("*.png")} == {*shown, "feel"}
     drawn = {word for words in commands.values() for word in words}
+    files = [word for word in drawn if word.endswith((".toml", ".csv"))]
+    assert all((ROOT / file).is_file() for file in files)  # commands run in the root
+    assert len(files) > 4
     elsewhere = {"field", "loop", "cycles", "branches", "work_precision"}  # of other commands
     assert set(plots.KINDS) - elsewhere <= drawn
     assert {"field", "phase", "gait", "reorient", "equilibria"} <= {c[0] for c in commands.values()}
@@ -158,18 +161,19 @@ def test_gallery_shows_every_kind_of_figure() -> None:
 @pytest.mark.by_hand
 def test_gallery_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every command of the gallery writes its picture."""
-    from draw import commands_of, draw, shrink, sweeps_of
+    from draw import FOLDERS, commands_of, draw, shrink, sweeps_of
 
-    (tmp_path / "docs/pictures").mkdir(parents=True)
+    for folder in FOLDERS.values():
+        (tmp_path / folder).mkdir(parents=True)
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
-    monkeypatch.chdir(tmp_path / "docs")
+    monkeypatch.chdir(tmp_path)
     text = (DOCS / "gallery.md").read_text("utf-8")
     for words in sweeps_of(text):
         draw(words)
     for name, words in commands_of(text).items():
         draw(words)
-        shrink(Path(f"pictures/{name}.png"))
-        assert Path(f"pictures/{name}.png").stat().st_size > 5000
+        shrink(Path(f"docs/pictures/{name}.png"))
+        assert Path(f"docs/pictures/{name}.png").stat().st_size > 5000
 
 
 @pytest.mark.by_hand

@@ -92,7 +92,8 @@ def task_pages(task: Task, members: dict[str, Any]) -> dict[str, str]:
     """Return the page of a task, and those of its functions."""
     functions = {n: v for n, v in members.items() if not inspect.isclass(v)}
     classes = {n: v for n, v in members.items() if n not in functions}
-    meanings = {n: parse(v.__doc__).prose.partition("\n\n")[0] for n, v in members.items()}
+    both = functions | classes  # functions first
+    meanings = {n: parse(v.__doc__).prose.partition("\n\n")[0] for n, v in both.items()}
     rows = [
         (f"{{py:obj}}`~pinred.{name}`", escape(meaning, in_table=True))
         for name, meaning in meanings.items()

@@ -9,17 +9,21 @@ import time
 from pathlib import Path
 
 DOCS = Path(__file__).parents[1]
+FOLDERS = {
+    ".png": "docs/pictures",
+    ".zarr": "docs/generated",
+}  # of files that commands write or read
 
 
 def commands_of(text: str) -> dict[str, list[str]]:
     """Return the words of the commands that draw pictures, by the name of the picture.
 
     Args:
-        text: Markdown with console blocks whose commands end with `--out pictures/NAME.png`.
+        text: Markdown with console blocks whose commands end with `--out NAME.png`.
     """
     found = {}
     for line in re.findall(r"^\$ pinred (.*)$", text, re.MULTILINE):
-        if match := re.search(r"--out pictures/([\w-]+)\.png$", line):
+        if match := re.search(r"--out ([\w-]+)\.png$", line):
             found[match[1]] = line.split()
     return found
 
@@ -30,10 +34,10 @@ def sweeps_of(text: str) -> list[list[str]]:
 
 
 def draw(words: list[str]) -> None:
-    """Run a command of the gallery in the current folder."""
+    """Run a command of the gallery in the current folder, with its files in folders of docs."""
     from pinred.cli.main import main as run
 
-    code = run(words)
+    code = run([f"{FOLDERS[s]}/{w}" if (s := Path(w).suffix) in FOLDERS else w for w in words])
     if code:
         raise SystemExit(f"pinred {' '.join(words)} ended with code {code}")
 
@@ -57,9 +61,10 @@ def shrink(path: Path, width: int = 1200) -> None:
 def main() -> None:
     """Draw the pictures that the arguments name, or all."""
     sys.path.insert(0, str(DOCS.parent))
-    os.chdir(DOCS)
-    Path("pictures").mkdir(exist_ok=True)
-    text = Path("gallery.md").read_text("utf-8")
+    os.chdir(DOCS.parent)
+    for folder in FOLDERS.values():
+        Path(folder).mkdir(exist_ok=True)
+    text = (DOCS / "gallery.md").read_text("utf-8")
     wanted = sys.argv[1:]
     commands = {k: words for k, words in commands_of(text).items() if not wanted or k in wanted}
     for words in sweeps_of(text):
@@ -68,7 +73,7 @@ def main() -> None:
     for name, words in commands.items():
         start = time.monotonic()
         draw(words)
-        shrink(Path("pictures") / f"{name}.png")
+        shrink(DOCS / f"pictures/{name}.png")
         print(f"{name}.png: {time.monotonic() - start:.1f} s", flush=True)
 
 

@@ -112,7 +112,8 @@ def _read(app: Sphinx, page: str, source: list[str]) -> None:
         more = "\n".join(unlisted_pages(Path(app.srcdir)))
         text = text.replace("<!-- pages that are not listed -->", more)
     if page == "api":
-        text = link_names(text)
+        tasks = ", ".join(f"[{task.title}](generated/api/{task.page}.md)" for task in TASKS)
+        text = link_names(text).replace("<!-- pages by task -->", f"By task: {tasks}. By name:")
     if page in CONTENTS:
         text += f"\n```{{toctree}}\n:hidden:\n:glob:\n\n{CONTENTS[page]}\n```\n"
     folder = "docs/" + posixpath.dirname(page)

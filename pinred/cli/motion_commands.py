@@ -72,7 +72,7 @@ def add_run_arguments(sub: argparse.ArgumentParser) -> None:
     add("--validate", "validate the scene without running it")
     add("--explain", "print what the simulation skips")
     add("--compare", "compare with full ABA; exit 1 on failure")
-    add("--out FILE", "write the motion to traj.npz or traj.csv")
+    add("--out FILE", "write the motion to traj.npz, .csv, .h5, .zarr or .xml")
     engine = replace(RUN_OPTIONS["engine"], default="the engine in the file")
     others = {name: RUN_OPTIONS[name] for name in ("check", "checkpoint")}
     add_options(sub, {"engine": engine, **others})
@@ -95,6 +95,7 @@ def run_run(arguments: argparse.Namespace) -> int:
     from ..simulation.explain import explain
     from ..simulation.plan import plan_of
     from ..simulation.simulate import as_scene, simulate
+    from ..simulation.trajectory_files import FOLDERS, SUFFIXES
 
     file = read_scene_file(arguments.scene)
     scene = file.scene
@@ -108,7 +109,7 @@ def run_run(arguments: argparse.Namespace) -> int:
     if arguments.validate:
         print(f"ok: {_title(scene)}")
         return 0
-    path = None if arguments.out is None else check_path(arguments.out)
+    path = None if arguments.out is None else check_path(arguments.out, SUFFIXES, folders=FOLDERS)
     engine, check = arguments.engine or file.engine, bool(arguments.check or file.check)
     checkpoint = arguments.checkpoint or file.checkpoint
     traj = simulate(scene, engine=engine, check=check, checkpoint=checkpoint, progress=True)
@@ -186,7 +187,7 @@ def add_simulate_arguments(sub: argparse.ArgumentParser) -> None:
     add_scene(sub)
     add_options(sub, {name: RUN_OPTIONS[name] for name in ("samples", "checkpoint")})
     sub.set_defaults(samples=EVEN_TIMES)
-    sub.add_argument("--out", metavar="FILE", required=True, help="traj.npz or traj.csv")
+    sub.add_argument("--out", metavar="FILE", required=True, help="traj.npz, csv, h5, zarr or xml")
 
 
 def run_simulate(arguments: argparse.Namespace) -> int:
@@ -195,8 +196,9 @@ def run_simulate(arguments: argparse.Namespace) -> int:
 
     from ..common.files import check_path
     from ..simulation.simulate import simulate
+    from ..simulation.trajectory_files import FOLDERS, SUFFIXES
 
-    path = check_path(arguments.out)
+    path = check_path(arguments.out, SUFFIXES, folders=FOLDERS)
     scene = scene_of(arguments)
     if arguments.samples < 2:
         raise InputError(f"--samples must be at least 2, got {arguments.samples}")

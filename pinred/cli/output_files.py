@@ -31,8 +31,9 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def describe_file(path: Path) -> str:
-    """Return the message that a file was written, with its size."""
-    return f"written to {path} ({path.stat().st_size / 1e3:.0f} kB)"
+    """Return the message that a file or a folder was written, with its size."""
+    size = sum(file.stat().st_size for file in (path, *path.rglob("*")) if file.is_file())
+    return f"written to {path} ({size / 1e3:.0f} kB)"
 
 
 def write_series(path: Path, names: Sequence[str], arrays: Mapping[str, Any]) -> None:

@@ -144,6 +144,7 @@ def _checked(function: Callable[..., Any], owner: type | None) -> Callable[..., 
     reject = f"    if wrong_ is not None:\n        with _rejected_(wrong_): {body}"
     lines = [f"def call({declared}):", "    wrong_ = None", *tests, reject, f"    return {body}"]
     values: dict[str, Any] = {"_types_": checks.types, "_check_": checks.check, "_empty_": ()}
+    values["__name__"] = __name__
     values |= {"_array_": np.ndarray, "_rejected_": _rejected, "_function_": function}
     exec(compile("\n".join(lines), f"{_SOURCE} of {function.__qualname__}>", "exec"), values)
     call: Callable[..., Any] = wraps(function)(values["call"])

@@ -88,12 +88,13 @@ class Wait(ContextDecorator):
 
 
 def say(text: str) -> None:
-    """Write a line about work on standard error.
+    """Write a line about work on standard error, unless PINRED_QUIET is set.
 
     Args:
         text: The line, without the name of the program.
     """
-    _write([f"pinred: {text}\n"])
+    if not _IS_QUIET:
+        _write([f"pinred: {text}\n"])
 
 
 def is_watched() -> bool:

@@ -115,8 +115,9 @@ def limit_table(plan: Plan, motion: Motion) -> LimitTable:
 
 
 def excess_notice(plan: Plan, motion: Motion, states: ShapeState | State) -> str:
-    """Return a sentence on limits of the file that a motion exceeds, or "".
+    """Return a sentence on limits of the file that a motion exceeds at report times, or "".
 
+    Dense output between them costs more than a short motion, so only `limit_table` evaluates it.
     A robot's sentence on the same limits is returned once.  Efforts are computed for the first
     motion of a set of forces only, because they cost more than the motion.
 
@@ -147,7 +148,7 @@ def excess_notice(plan: Plan, motion: Motion, states: ShapeState | State) -> str
     ]
     return (
         f"'{system.name}' goes beyond the limits of its file, which a simulation does not "
-        f"enforce: {listed(words, 3)} (see traj.limits)"
+        f"enforce: {listed(words, 3)}, at report times (traj.limits looks between them, too)"
     )
 
 

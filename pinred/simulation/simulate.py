@@ -110,8 +110,9 @@ def free_joints_notice(scene: Scene) -> str:
         return ""
     if not is_first(nominal(scene.system), (free_joints_notice, names)):
         return ""
+    moves = "moves" if len(names) == 1 else "move"
     return (
-        f"prescribed: nothing drives {listed(names, 8)} of '{scene.system.name}', which move "
+        f"prescribed: nothing drives {listed(names, 8)} of '{scene.system.name}', which {moves} "
         "freely; hold='others' keeps them at their initial positions, hold='free' omits this line"
     )
 

@@ -29,6 +29,8 @@ from ..system.system import System
 from ..system.variants import nominal
 from .over_time import OverTime
 
+SUFFIXES, FOLDERS = (".npz", ".csv", ".h5", ".zarr", ".xml"), (".zarr",)  # formats, and folders
+
 
 def save(traj: OverTime, path: str | Path) -> None:
     """Write the states of a motion at its report times; no partial file remains after a failure.
@@ -51,7 +53,7 @@ def save(traj: OverTime, path: str | Path) -> None:
         traj: A Trajectory or a Recording.
         path: Path of the file; its suffix selects the format.
     """
-    path = check_path(path, (".npz", ".csv", ".h5", ".zarr", ".xml"), folders=(".zarr",))
+    path = check_path(path, SUFFIXES, folders=FOLDERS)
     if path.suffix == ".zarr":
         write_zarr(path, _arrays(traj), traj.system)
         return

@@ -291,7 +291,7 @@ URDF = """<robot name="r"><link name="base"><inertial><mass value="{mass}"/>
         (("compare", "good.urdf", "--gravity", "1,2"), "gravity must have shape (3,)"),
         (("compare", "good.urdf", "--springs", "elbow"), "--springs takes JOINT=STIFFNESS"),
         (("inspect", "good.urdf", "--at", "0,0"), "expected 1 number: elbow, got 2"),
-        (("simulate", "good.urdf", "--out", "traj.txt"), "suffix must be .npz or .csv"),
+        (("simulate", "good.urdf", "--out", "traj.txt"), "suffix must be .npz or .csv or .h5"),
         (("simulate", "good.urdf", "--out", "no/traj.npz"), "no folder"),
         (("simulate", "good.urdf", "--out", "t.npz", "--samples", "1"), "--samples"),
         (("simulate", "good.urdf"), "--out"),

@@ -154,6 +154,7 @@ def test_resumed_sweep_says_where_it_continues(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The number of stored points and of all points is stated; a new sweep says nothing."""
+    monkeypatch.setattr(waiting, "_IS_QUIET", False)
     scene = pinred.Scene(system=pinred.load("elroys_beanie"), duration=0.1, seed=1)
     joint, finished = scene.system.shape_names[0], PointsDone.finished
 
@@ -174,6 +175,9 @@ def test_resumed_sweep_says_where_it_continues(
     run()
     assert "continuing at 2,000 of 3,000 points" in capsys.readouterr().err
     run()  # the store is complete
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(waiting, "_IS_QUIET", True)
+    waiting.say("continuing")
     assert capsys.readouterr().err == ""
 
 

@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 
 import pinred
+from pinred.cli.main import main
 from pinred.forces import Damper, Torque, Wrench
 from pinred.system.entry_labels import column_names, entry_names, label_entries
 from pinred.system.state_fields import FIELDS, State, axis_labels
@@ -127,3 +128,19 @@ def test_hdf5_without_its_package_names_the_extra(
     with pytest.raises(pinred.MissingPackageError, match=r"HDF5 files need h5py: pip install "):
         _cat().save(tmp_path / "run.h5")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".csv", ".h5", ".zarr"])
+def test_commands_write_all_formats(
+    suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`simulate` and `run` write what `save` writes, and state its size."""
+    pytest.importorskip({".h5": "h5py", ".zarr": "zarr"}.get(suffix, "numpy"))
+    scene = tmp_path / "scene.toml"
+    scene.write_text('robot = "elroys_beanie"\n[run]\nduration = 0.1\n', encoding="utf-8")
+    for words in (["run", str(scene)], ["simulate", "elroys_beanie", "--duration", "0.1"]):
+        path = tmp_path / f"{words[0]}{suffix}"
+        assert main([*words, "--out", str(path)]) == 0
+        files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
+        size = sum(file.stat().st_size for file in files)
+        assert f"written to {path} ({size / 1e3:.0f} kB)" in capsys.readouterr().out

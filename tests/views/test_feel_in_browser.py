@@ -55,6 +55,21 @@ def rest(screen: Browser) -> None:
     screen.wait_for("pinred.resting")
 
 
+def test_controls_have_names_for_screen_readers(screen: Browser, tmp_path: Path) -> None:
+    """Each slider has the name of its joint, and its value with the unit; no control has none."""
+    path = tmp_path / "cat.html"
+    pinred.save_html(pinred.load("falling_cat"), path, feel=True)
+    show(screen, path)
+    nodes = screen.call("Accessibility.getFullAXTree")["nodes"]
+    roles = ("slider", "combobox", "button", "checkbox")
+    controls = [node for node in nodes if node["role"]["value"] in roles]
+    names = [node["name"]["value"] for node in controls]
+    assert all(names)
+    assert {"bend", "sway", "twist", "size"} <= set(names)
+    value = "document.querySelector('#sliders input').getAttribute('aria-valuetext')"
+    assert screen.run(value) == "0°"
+
+
 def test_mouse_and_keyboard_move_the_robot(screen: Browser, tmp_path: Path) -> None:
     """Sliders, a loop drawn by mouse, one by keys, and a preset; the page is small and silent."""
     path = tmp_path / "cat.html"

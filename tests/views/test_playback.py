@@ -18,6 +18,7 @@ from PIL import Image
 from trees import random_model
 
 import pinred
+from pinred.common import waiting
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 from pinred.lie.rotations import rotation
@@ -399,8 +400,8 @@ def test_pages_are_small_and_contain_the_viewer(tmp_path: Path) -> None:
 def test_film_says_beforehand_how_long_it_takes(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Once, from the time of five frames after the first; not for short films."""
-    monkeypatch.setattr(films, "is_watched", lambda: True)
+    """Once, from the time of five frames after the first; not for short films, nor if quiet."""
+    monkeypatch.setattr(waiting, "_IS_QUIET", False)
     for pace, line in ((0.5, "pinred: the 100 frames of the film take about 47 s\n"), (0.01, "")):
         now = iter(np.arange(200.0) * pace * 5)
         parts: list[float] = []
@@ -409,7 +410,9 @@ def test_film_says_beforehand_how_long_it_takes(
             report(k / 100)
         assert parts == [k / 100 for k in range(1, 101)]
         assert capsys.readouterr().err == line
-    monkeypatch.setattr(films, "is_watched", lambda: False)
-    report = films._announcing(None, 100, lambda: 0.0)
-    report(0.01)
+    monkeypatch.setattr(waiting, "_IS_QUIET", True)
+    now = iter(np.arange(200.0) * 2.5)
+    report = films._announcing(None, 100, lambda: next(now))
+    for k in range(1, 101):
+        report(k / 100)
     assert capsys.readouterr().err == ""

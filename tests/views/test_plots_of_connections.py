@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from importlib import resources
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from figures import drawn
 from matplotlib.axes import Axes
 from matplotlib.contour import QuadContourSet
+from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
 import pinred
@@ -19,6 +21,8 @@ from pinred.lie.group import Group
 from pinred.lie.groups import SE2, SE3
 from pinred.lie.rotations import left_jacobian
 from pinred.views.plots.connection_field import moved_component
+from pinred.views.plots.motion_labels import labels_of
+from pinred.views.plots.shape_plane import draw_field, plane, refine, title_at
 
 CIRCLE = pinred.Gait.fourier([0.3, 0.2], [[0.5, 0.0]], [[0.0, 0.5]])
 
@@ -28,10 +32,14 @@ def rods() -> pinred.Connection:
     return pinred.Connection.mechanical(pinred.load("three_rods"))
 
 
+def contour_sets(axes: Axes) -> list[QuadContourSet]:
+    """Return the contour sets of some axes."""
+    return [item for item in axes.collections if isinstance(item, QuadContourSet)]
+
+
 def filled_contours(axes: Axes) -> QuadContourSet:
     """Return the filled contours of some axes."""
-    sets = [item for item in axes.collections if isinstance(item, QuadContourSet)]
-    return next(item for item in sets if item.filled)
+    return next(item for item in contour_sets(axes) if item.filled)
 
 
 def test_zero_contour_has_zero_curvature() -> None:
@@ -156,6 +164,64 @@ def test_plots_of_connections_reject_invalid_input() -> None:
     one = pinred.Connection.mechanical(pinred.load("elroys_beanie"))
     with pytest.raises(pinred.InputError, match="at least 2 joints"):
         plots.field(one)
+
+
+def test_level_curves_have_neither_corners_nor_gaps_at_saddles() -> None:
+    """The zeros of a saddle are four straight lines, those of x² + y² − 1 a circle."""
+    shapes = plane((0, 1), [(-3.0, 3.0)] * 2, np.zeros(2))
+    x, y = shapes.axes[0], shapes.axes[1][:, None]
+    noise = 1e-15 * np.random.default_rng(5).standard_normal((len(x), len(x)))
+    lengths, ends = [], []
+    for values in (x * y + noise, x**2 - y**2 + noise, x**2 + y**2 - 1.0):
+        axes = Figure().subplots()
+        draw_field(axes, shapes, values, ["a [rad]", "b [rad]"], "B [1]")
+        (zero,) = [item for item in contour_sets(axes) if list(item.levels) == [0.0]]
+        lines = [line for path in zero.get_paths() for line in path.to_polygons(closed_only=False)]
+        lengths.append(sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in lines))
+        ends.append(np.concatenate(lines))
+        levels = [item for item in contour_sets(axes) if not item.filled]
+        assert all(dashes is None for item in levels for _, dashes in item.get_linestyle())
+        assert sum(0.0 in item.levels for item in levels) == 1
+    np.testing.assert_allclose(lengths, [12.0, 12.0 * np.sqrt(2.0), 2.0 * np.pi], rtol=5e-3)
+    assert np.abs(ends[0].prod(axis=1)).max() < 1e-9
+    assert np.abs(np.diff(ends[1] ** 2, axis=1)).max() < 1e-9
+    middles = 0.5 * (ends[2][1:] + ends[2][:-1])
+    assert np.abs(np.hypot(*middles.T) - 1.0).max() < 2e-4
+    ramp = np.broadcast_to((x + 3.0) / 6.0, (len(x), len(x)))
+    assert refine(shapes.axes, ramp + 3e-10)[1].min() > 0.0
+    assert refine(shapes.axes, ramp + 3e-11)[1].min() == 0.0
+
+
+def test_slice_is_stated_for_any_number_of_fixed_joints() -> None:
+    """Few are listed; of many, zeros are counted, and the ninth value is not listed."""
+    names = labels_of(pinred.load("planar_chain5"))
+    listed = "joint3 = 0 rad, joint4 = 0.5 rad, joint5 = 0 rad"
+    assert title_at(names, (0, 1), np.array([1, 1, 0, 0.5, 0])) == f"drawn for {listed}"
+    long = replace(names, joints=tuple("abcdefghijklm"), units=("rad",) * 13)
+    assert title_at(long, (0, 1), np.zeros(13)) == "drawn for 11 joints at 0"
+    some = title_at(long, (0, 1), np.array([1.0] * 3 + [0.0] * 10))
+    assert some == "drawn for c = 1 rad, 10 other joints at 0"
+    most = title_at(long, (0, 1), np.array([1.0] * 12 + [0.0]))
+    assert most.endswith("j = 1 rad, 2 joints more, 1 other joint at 0")
+
+
+def test_long_titles_are_wrapped_to_the_figure() -> None:
+    """The names of a satellite's joints are long."""
+    figure = plots.curvature(pinred.load("satellite_two_arms"))
+    title = figure.get_suptitle()
+    assert [line.split(" ")[0] for line in title.split("\n")] == [
+        "satellite_two_arms:", "component", "drawn",
+    ]  # fmt: skip
+    figure.draw_without_rendering()
+    assert figure.texts[0].get_window_extent().x1 < figure.bbox.x1
+
+
+def test_integral_of_an_odd_field_over_a_centred_gait_is_zero() -> None:
+    """Of three equal rods, turn and lateral motion are odd, so the title states no round-off."""
+    gait = pinred.Gait.fourier([0.0, 0.0], [[0.8, 0.0]], [[0.0, 0.8]])
+    for component in ("turn", "y"):
+        title = plots.field(rods(), gait=gait, component=component).get_suptitle()
+        assert title.endswith("integral over it 0")
 
 
 def test_zero_contour_over_axes_of_ball_has_zero_curvature() -> None:

@@ -229,7 +229,7 @@ def test_zero_curvature_is_stated() -> None:
     """On rails, A = ∂c/∂x is a gradient, so its curvature is zero."""
     rails = pinred.load("falling_cat", group="R")
     figure = plots.curvature(rails)
-    assert "component v, is zero everywhere" in figure.get_suptitle()
+    assert "component v, is zero everywhere" in figure.get_suptitle().replace("\n", " ")
     assert figure.axes[1].get_ylabel() == "B, component v [m/rad²]"
     assert "zero" not in plots.curvature(pinred.load("falling_cat")).get_suptitle()
 

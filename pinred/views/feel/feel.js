@@ -171,7 +171,7 @@
     if (panel && cards[1].open) plane.draw(w, loop && loop.outline);
     sliders.forEach(({ input, output, joint }) => {
       if (input !== held) input.value = w[joint];
-      output.textContent = head.angles[joint] ? `${round(w[joint] * 180 / Math.PI, 0)}°` : `${round(w[joint])} m`;
+      output.textContent = input.ariaValueText = head.angles[joint] ? `${round(w[joint] * 180 / Math.PI, 0)}°` : `${round(w[joint])} m`;
     });
     tell();
     viewer.set_dirty();
@@ -184,6 +184,7 @@
     const output = document.createElement("output"), name = document.createElement("span");
     name.textContent = name.title = label.replace(/ \[.*/, "");
     Object.assign(input, { type: "range", min: head.low[joint], max: head.high[joint], step: range[joint] / 200, value: w[joint] });
+    input.ariaLabel = name.textContent; // the label would name the output
     input.oninput = () => {
       held = input;
       stopped = "";

@@ -23,7 +23,7 @@ from ...common.errors import InputError, OutputError
 from ...common.files import check_path, write_atomic
 from ...common.optional_packages import install_command
 from ...common.progress import Progress, quiet, shown
-from ...common.waiting import is_watched, say
+from ...common.waiting import say
 from ..motion_source import MotionSource
 from .headless_browser import Browser, browser
 from .page import page
@@ -83,7 +83,11 @@ def save_film(
             shown(progress, "film", len(times), "frames", "renders a film", reports=True) as report,
             closing(
                 capture_frames(
-                    source, times, pixels, view, _announcing(report or quiet, len(times))
+                    source,
+                    times,
+                    pixels,
+                    view,
+                    _announcing(report, len(times)) if progress is None else report or quiet,
                 )
             ) as shots,
         ):
@@ -99,7 +103,7 @@ def save_film(
 def _announcing(
     progress: Progress | None, count: int, clock: Callable[[], float] = time.monotonic
 ) -> Progress:
-    """Return a progress function that says once, after some frames, how long all of them take.
+    """Return a progress function that says once, after a few frames, how long all of them take.
 
     Args:
         progress: Called with the completed fraction; may be None.
@@ -114,7 +118,7 @@ def _announcing(
             began.append(clock())
         elif frames == 1 + _MEASURED:
             left = (clock() - began[0]) * (count - frames) / _MEASURED
-            if left > _PATIENCE and is_watched():
+            if left > _PATIENCE:
                 say(f"the {count} frames of the film take about {left:.0f} s")
         if progress is not None:
             progress(part)
@@ -309,8 +313,8 @@ def _write_mp4(path: Path, shots: Iterator[bytes], fps: float, encoder: str) -> 
         film, count = Path(folder, "film.mp4"), 0
         command = [
             encoder, "-loglevel", "error", "-f", "image2pipe", "-framerate", f"{fps:g}",
-            "-c:v", "png", "-i", "-", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20",
-            "-movflags", "+faststart", str(film),
+            "-c:v", "png", "-i", "-", "-c:v", "libx264", "-preset", "veryfast", "-pix_fmt",
+            "yuv420p", "-crf", "20", "-movflags", "+faststart", str(film),
         ]  # fmt: skip
         with (
             Path(folder, "log").open("w+", encoding="utf-8", errors="replace") as log,

@@ -14,7 +14,7 @@ from ...system.visuals import mesh_folders
 from .viewers import PAGES
 
 FPS = 60.0  # default frames per second of playback
-FILM_FPS = 30.0  # default frames per second of films
+FILM_FPS = 25.0  # default frames per second of films, whole hundredths of a second as gifs have
 
 
 @checks_arguments

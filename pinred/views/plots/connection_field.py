@@ -157,7 +157,10 @@ def _enclosed(source: Connection, gait: Gait, pair: list[int], part: str, which:
     cone = centre + rho[:, None, None] * (x - centre)
     values = getattr(source.grid(cone), part)[..., which, a, b]
     swept = (x - centre)[:, a] * xdot[:, b] - (x - centre)[:, b] * xdot[:, a]
-    integral = gait.period * float(np.mean((weights * rho) @ (values * swept)))
+    terms = (weights * rho)[:, None] * values * swept
+    integral = gait.period * float(np.mean(terms.sum(axis=0)))
+    if abs(integral) < NONE * gait.period * float(np.mean(np.abs(terms).sum(axis=0))):
+        integral = 0.0
     return f"{text}, integral over it {integral:.4g}"
 
 

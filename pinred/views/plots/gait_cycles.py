@@ -32,7 +32,7 @@ from .connection_field import (
     unit_of_curvature,
 )
 from .motion_labels import labels_of_connection
-from .shape_plane import around, draw_field, draw_path, plane, title_at
+from .shape_plane import PATH, around, draw_field, draw_path, plane, title_at
 from .style import BLACK, RED, figure, legend, line, styled
 
 _MOST = 1000
@@ -215,7 +215,7 @@ def _on_curvature(
         )  # fmt: skip
         draw_field(axes, shapes, curvature[..., index], names, what, path=paths[0])
     for path in paths[1:]:
-        axes.plot(path[:, pair[0]], path[:, pair[1]], color=BLACK, linewidth=0.6, zorder=3)
+        axes.plot(path[:, pair[0]], path[:, pair[1]], color=PATH, linewidth=0.8, zorder=3)
 
 
 def _over_time(axes: Axes, group: Group, t: Array, poses: Array) -> None:

@@ -14,14 +14,16 @@ from matplotlib.axes import Axes
 from matplotlib.contour import QuadContourSet
 from matplotlib.patheffects import Stroke, withStroke
 from matplotlib.ticker import MaxNLocator
+from scipy.interpolate import RectBivariateSpline
 
 from ...common.arrays import Array, as_floats, vectors
 from ...common.errors import InputError
 from ...system.joints import is_prismatic
 from ...system.system import System
 from .motion_labels import Labels
-from .style import BLACK, FIELD, SIGNED, legend
+from .style import BLACK, FIELD, GREEN, SIGNED, legend
 
+PATH = GREEN  # colour of paths, which level curves do not have
 _POINTS = {1: 241, 2: 61}  # number of points along each axis of a line or a plane
 Limits: TypeAlias = Sequence[Sequence[float]]
 _MARGIN = 0.2  # margin around a path, relative to the extent of the path
@@ -29,7 +31,10 @@ _LEAST = {"rad": 0.4, "m": 0.05}  # half of the smallest axis range, by unit
 _SLIDE = 0.5  # half of the axis range of a prismatic joint without limits [m]
 
 NONE = 1e-12  # values and differences below this count as round-off
+_ROUND_OFF = 1e-10  # the same, relative to the largest value
 _LEVELS = 20
+_REFINED = 4  # number of drawn cells along each side of a cell of the grid
+_LISTED, _MOST_LISTED = 3, 8  # numbers of fixed joints of which zeros, or further ones, are counted
 
 
 @dataclass(frozen=True)
@@ -109,8 +114,8 @@ def checked_path(path: Any, m: int) -> Array:
 
 def draw_path(axes: Axes, x: Array, y: Array) -> None:
     """Draw a curve with a white outline over a field, and a dot at its start."""
-    halo = [Stroke(linewidth=3.4, foreground="white"), withStroke(linewidth=0.0)]
-    axes.plot(x, y, color=BLACK, linewidth=1.6, label="path", path_effects=halo, zorder=4)
+    halo = [Stroke(linewidth=4.0, foreground="white"), withStroke(linewidth=0.0)]
+    axes.plot(x, y, color=PATH, linewidth=2.0, label="path", path_effects=halo, zorder=4)
     mark_start(axes, x, y)
 
 
@@ -127,11 +132,14 @@ def title_at(names: Labels, joints: Sequence[int], at: Array) -> str:
     others = [k for k in range(len(names.joints)) if k not in joints]
     if not others:
         return ""
-    if len(others) > 3:
-        return f"drawn with the other {len(others)} joints frozen"
-    return "drawn for " + ", ".join(
-        f"{names.joints[k]} = {at[k]:.3g} {names.units[k]}" for k in others
-    )
+    # Many zeros are counted, not listed.
+    listed = others if len(others) <= _LISTED else [k for k in others if abs(at[k]) > NONE]
+    parts = [f"{names.joints[k]} = {at[k]:.3g} {names.units[k]}" for k in listed[:_MOST_LISTED]]
+    if further := len(listed) - len(parts):
+        parts.append(f"{further} joint{'s' * (further > 1)} more")
+    if zeros := len(others) - len(listed):
+        parts.append(f"{zeros} {'other ' * bool(parts)}joint{'s' * (zeros > 1)} at 0")
+    return "drawn for " + ", ".join(parts)
 
 
 def draw_field(
@@ -149,9 +157,10 @@ def draw_field(
         path: Shapes of a path to draw, (T, m) [rad | m].
         contours: Whether to draw level curves.
     """
-    filled = _fill(axes, plane.axes, values)
+    fine, values = refine(plane.axes, values)
+    filled = _fill(axes, fine, values)
     if contours:
-        _outline(axes, plane.axes, values, filled)
+        _outline(axes, fine, values, filled)
     if path is not None:
         draw_path(axes, *path[:, list(plane.joints)].T)
     axes.grid(visible=False)
@@ -162,6 +171,24 @@ def draw_field(
     bar = axes.figure.colorbar(filled, ax=axes, location="left", pad=0.02, shrink=0.9)
     bar.set_label(value)
     legend(axes)
+
+
+def refine(plane: Sequence[Array], values: Array) -> tuple[list[Array], Array]:
+    """Interpolate values on a finer grid by cubic splines, so that level curves have no corners.
+
+    Round-off becomes zero. Otherwise a zero contour along a row or a diagonal of the grid, as
+    symmetries of the robot cause, would wind around the points of the grid.
+
+    Args:
+        plane: Values of both joints, (P,) each.
+        values: The function, (P, P), the second joint along the first axis.
+    Returns:
+        Finer values of both joints, and the function.
+    """
+    fine = [np.interp(np.arange(len(x) * _REFINED - _REFINED + 1) / _REFINED, np.arange(len(x)), x)
+            for x in plane]  # fmt: skip
+    values = RectBivariateSpline(*plane[::-1], values)(*fine[::-1])
+    return fine, np.where(np.abs(values) < _ROUND_OFF * np.abs(values).max(), 0.0, values)
 
 
 def _fill(axes: Axes, plane: Sequence[Array], values: Array) -> QuadContourSet:
@@ -182,13 +209,14 @@ def unit_of(label: str) -> str:
 
 
 def _outline(axes: Axes, plane: Sequence[Array], values: Array, filled: QuadContourSet) -> None:
-    """Draw every second level as a line, and zero as a dashed line, unless all is round-off."""
+    """Draw every second level as a thin line, and zero as a thick one, unless all is round-off."""
     if np.abs(values).max() < NONE:
         return
-    axes.contour(
-        *plane, values, levels=np.asarray(filled.levels)[::2], colors=BLACK, linewidths=0.4
-    )
+    levels = np.asarray(filled.levels)
+    thin = [level for level in levels[::2] if abs(level) > NONE]
+    # By default, matplotlib would dash the lines of negative levels.
+    style: dict[str, Any] = {"colors": BLACK, "linestyles": "-"}
+    axes.contour(*plane, values, levels=thin, linewidths=0.4, **style)
     if values.min() < 0.0 < values.max():
-        style: dict[str, Any] = {"linewidths": 1.2, "linestyles": "--"}
-        axes.contour(*plane, values, levels=[0.0], colors=BLACK, **style)
-        axes.plot([], [], color=BLACK, linewidth=1.2, linestyle="--", label="zero")
+        axes.contour(*plane, values, levels=[0.0], linewidths=1.2, **style)
+        axes.plot([], [], color=BLACK, linewidth=1.2, label="zero")

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from functools import wraps
 from io import BytesIO
+from textwrap import fill
 from typing import Any, ParamSpec
 
 import matplotlib.style
@@ -37,6 +38,7 @@ FIELD = "cividis"  # colour map that is also readable in grey
 # Colour map of values of both signs, white at zero: the colours of playback (field.js).
 SIGNED = LinearSegmentedColormap.from_list("pinred_signed", (BLUE, "#FFFFFF", RED))
 WIDTH = 6.4  # text width of a page [in]
+_LETTERS = 13.0  # number of letters of a title in an inch
 PANEL = 1.9  # height of a panel in a figure with several panels [in]
 STEADY = 1e-6  # largest relative change of values that count as constant
 
@@ -115,9 +117,10 @@ def _texts(drawing: Figure) -> Iterator[Text]:
 
 
 def figure(title: str, *, width: float = WIDTH, height: float) -> StyledFigure:
-    """Return an empty figure with a title; sizes in inches."""
+    """Return an empty figure with a title, whose long lines are wrapped; sizes in inches."""
     drawing = StyledFigure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(drawing)
+    title = "\n".join(fill(line, int(width * _LETTERS)) for line in title.split("\n"))
     drawing.suptitle(title, x=0.01, ha="left", parse_math=False)
     return drawing
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 _BINS = 40  # bins of histograms and maps
+_MOST_TICKS = 6  # more labels would touch each other
 _LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 _MOST_DOTS = 20_000  # points of a scatter plot; more would hide each other
 _MOST_LISTED = 400  # largest number of different values that get a cell each
@@ -52,6 +53,7 @@ def histogram(source: Dataset, *, output: str | None = None) -> Figure:
     axes.axvline(mean, color=BLACK, linestyle="--", label=f"mean: {mean:.4g} ± {deviation:.2g}")
     legend(axes)
     axes.set_xlabel(_label(source, name))
+    axes.locator_params(axis="x", nbins=_MOST_TICKS)
     axes.set_ylabel(f"points of {len(values)}")
     return drawing
 
