@@ -110,6 +110,10 @@ from .scene.toml.keys import scene_schema as scene_schema
 from .scene.toml.reader import load_scene as load_scene
 from .simulation.balances import EnergyBalance as EnergyBalance
 from .simulation.balances import MomentumBalance as MomentumBalance
+from .simulation.contact.capture import Capture as Capture
+from .simulation.contact.capture import Release as Release
+from .simulation.contact.capture import capture as capture
+from .simulation.contact.capture import release as release
 from .simulation.events import Crossings as Crossings
 from .simulation.flow_map.flow import Flow as Flow
 from .simulation.flow_map.flow import flow as flow

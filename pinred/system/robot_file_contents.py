@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import pinocchio as pin
 
@@ -18,7 +18,25 @@ from .locked_joints import LockedJoints, LockValue
 from .loops.loop import Constraint
 from .visuals import Visuals
 
+if TYPE_CHECKING:
+    from .system import System
+
 LimitKind: TypeAlias = Literal["position", "rate", "effort"]
+
+
+@dataclass(frozen=True, eq=False)
+class Derivation:
+    """How a system was made from others; see `derived_systems`.
+
+    Attributes:
+        function: Name of the function.
+        systems: The other systems.
+        arguments: Texts and numbers that the function takes, by name.
+    """
+
+    function: str
+    systems: tuple[System, ...]
+    arguments: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -32,6 +50,7 @@ class Origin:
         meshes: Additional folders in which meshes are searched; the folders above the file are
             always searched.
         text: Content of the file, if the robot was loaded from a text.
+        derivation: How the system was made from others, if it was; `source` is "".
     """
 
     source: str
@@ -39,6 +58,7 @@ class Origin:
     root: str | None = None
     meshes: tuple[str, ...] = ()
     text: str | None = None
+    derivation: Derivation | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from ...forces.columns import symbols_of
 from ...forces.force import Force, Limit
 from ...forces.force_model_cache import cached_force_model
 from ...forces.formula import NAMES, Formula
-from ...forces.link_wrenches import link_frame
+from ...system.assembly import link_frame
 from ...forces.signals import Signal
 from ...forces.signals.expressions import FUNCTIONS, parse
 from ...integrators.methods import METHODS
