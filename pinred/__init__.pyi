@@ -114,6 +114,9 @@ from .simulation.contact.capture import Capture as Capture
 from .simulation.contact.capture import Release as Release
 from .simulation.contact.capture import capture as capture
 from .simulation.contact.capture import release as release
+from .simulation.contact.landing import Landing as Landing
+from .simulation.contact.landing import Stance as Stance
+from .simulation.contact.landing import land as land
 from .simulation.events import Crossings as Crossings
 from .simulation.flow_map.flow import Flow as Flow
 from .simulation.flow_map.flow import flow as flow

@@ -21,8 +21,8 @@ from ..common.names import listed, nearest, quoted
 from ..lie.rotations import apply, conjugate, rotation
 from .body_parameters import link_inertias, moments_of
 from .force_interface import Force
-from .joints import axes_of, is_ball, is_prismatic, root_joint
-from .rebuild import PRISMATIC, REVOLUTE, ModelBuilder, joint_along
+from .joints import axes_of, is_ball, root_joint
+from .rebuild import ModelBuilder
 from .robot_file_contents import Contents, Derivation, LeftOut, Origin
 from .system import System
 
@@ -102,27 +102,26 @@ class Edge:
     frame: pin.FrameType = pin.FrameType.FIXED_JOINT
 
     def reversed(self) -> Edge:
-        """Return the same joint, described from the link below."""
-        joint = None if self.joint is None else _reversed_joint(self.joint)
+        """Return the same joint, described from the link below.
+
+        A hinge or slide turns or slides about the opposite axis: about its own, in a joint frame
+        that is turned by half a turn.
+        """
+        flip = pin.SE3.Identity()
+        if self.joint is not None and not is_ball(self.joint):
+            flip.rotation = _half_turn(axes_of(self.joint)[:, 0])
         return replace(
-            self, above=self.below, below=self.above, joint=joint,
-            at=self.to.inverse(), to=self.at.inverse(),
+            self, above=self.below, below=self.above,
+            at=self.to.inverse() * flip, to=flip * self.at.inverse(),
         )  # fmt: skip
 
 
-def _reversed_joint(joint: pin.JointModel) -> pin.JointModel:
-    """Return the joint whose motion at the same value is the inverse; a ball stays as it is."""
-    if is_ball(joint):
-        return joint
-    axis = -axes_of(joint)[:, 0]
-    if is_prismatic(joint):
-        return joint_along(PRISMATIC, axis[:3])
-    if joint.nq == 1:
-        return joint_along(REVOLUTE, axis[3:])
-    return joint_along(
-        (pin.JointModelRUBX, pin.JointModelRUBY, pin.JointModelRUBZ,
-         pin.JointModelRevoluteUnboundedUnaligned), axis[3:],
-    )  # fmt: skip
+def _half_turn(twist: Array) -> Array:
+    """Return a half turn that reverses the axis of a hinge or slide, (3, 3); its own inverse."""
+    axis = twist[:3] + twist[3:]  # one of them is zero
+    normal = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    normal /= np.linalg.norm(normal)
+    return np.asarray(2.0 * np.outer(normal, normal) - np.eye(3))
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from ...reduction.tree.momenta import bracket
 from ...system.joints import axes_of
 from ...system.system import System
 from .loop_graph import loop_graph
-from .placements import Placement, all_joint_values, joint_frames, rotate
+from ...reduction.symbolic_placements import Placement, all_joint_values, joint_frames, rotate
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from ...system.loops.kinematics import loop_ends, rotation_axes
 from ...system.loops.loop import JointPolynomial, Loop
 from ...system.loops.looped_system import loop_kinematics
 from ...system.system import System
-from .placements import Placement, compose, fixed_placement, inverse, rotate
+from ...reduction.symbolic_placements import Placement, compose, fixed_placement, inverse, rotate
 
 
 def loop_graph(
