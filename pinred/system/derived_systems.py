@@ -6,7 +6,7 @@ the system again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
@@ -37,9 +37,10 @@ from .assembly import (
     to_system,
     twists_of,
 )
-from .joints import axes_of, root_joint
+from .joints import axes_of, is_ball, is_prismatic, root_joint
 from .rebuild import PRISMATIC, REVOLUTE, joint_along
 from .robot_file_contents import Derivation
+from .shape_space import PlacedJoint
 from .system import System
 
 _SAME_MOTIONS = 1e-9  # largest part of a unit twist of one root outside the motions of the other
@@ -122,6 +123,14 @@ def free_prefix(a: System, b: System) -> str:
     return prefix
 
 
+def both_doubts(a: System, b: System) -> tuple[str, ...]:
+    """Return the warnings about the inertias of two systems.
+
+    The kinetic energy of both together, or of both as one, is positive where those of both are.
+    """
+    return tuple(dict.fromkeys((*a.doubts, *b.doubts)))
+
+
 def join(
     a: System, b: System, *, at: str, onto: str, offset: Array, prefix: str, name: str = ""
 ) -> System:
@@ -163,7 +172,7 @@ def join(
     arguments = {"at": at, "onto": onto, "offset": offset.tolist(), "prefix": prefix, "name": name}
     return to_system(
         joined, name or f"{a.name}+{b.name}", both_contents(contents_of(a), second_contents),
-        Derivation("join", (a, b), arguments),
+        Derivation("join", (a, b), arguments, both_doubts(a, b)),
     )  # fmt: skip
 
 
@@ -214,7 +223,7 @@ def pair(a: System, b: System, *, prefix: str, name: str = "") -> System:
     contents = both_contents(contents_of(a), renamed_contents(contents_of(b), prefix))
     return to_system(
         both, name or f"{a.name} and {b.name}", contents,
-        Derivation("pair", (a, b), {"prefix": prefix, "name": name}),
+        Derivation("pair", (a, b), {"prefix": prefix, "name": name}, both_doubts(a, b)),
     )  # fmt: skip
 
 
@@ -235,7 +244,7 @@ def reroot(system: System, *, link: str, name: str = "") -> System:
     root = replace(assembly.root, joint=joint, link=place.link, to=to)
     moved, contents = replace(assembly, root=root), contents_of(system)
     refuse_forced_balls(contents, reversed_balls(assembly, moved), "root")
-    derivation = Derivation("reroot", (system,), {"link": link, "name": name})
+    derivation = Derivation("reroot", (system,), {"link": link, "name": name}, system.doubts)
     return to_system(moved, name or system.name, contents, derivation)
 
 
@@ -336,7 +345,7 @@ def stand(
     base = pin.SE3(turn, contact.translation)
     joint = root_joint(SO3 if pivot == "all" else SO2)
     root_link = link
-    taken = names_in(assembly)
+    taken, doubts = names_in(assembly), list[str]()
     if pivot == "all":
         base = pin.SE3(np.eye(3), contact.translation)
     elif pivot == "normal":
@@ -344,6 +353,9 @@ def stand(
     else:
         names = [_unused(f"tilt_{axis}", taken) for axis in "xy"]
         inner = [_unused(f"{names[0]}_link", taken), _unused("stance", taken)]
+        doubts.append(
+            f"joint {quoted(names[0])} describes no tilt of 1.5708 rad, where a simulation ends"
+        )
         links |= {entry: Link(pin.Inertia.Zero()) for entry in inner}
         root_link = inner[1]
         free = np.outer([-np.inf, np.inf], np.ones(1))
@@ -363,7 +375,7 @@ def stand(
     arguments = {"frame": frame, "at": at, "pivot": pivot, "up": up, "name": name}
     return to_system(
         standing, name or f"{system.name} on {frame}", contents,
-        Derivation("stand", (system,), arguments),
+        Derivation("stand", (system,), arguments, (*system.doubts, *doubts)),
     )  # fmt: skip
 
 
@@ -395,66 +407,178 @@ class Instant:
     xi: Array
 
 
-def carry_state(
-    old: System, new: System, pose: Array, x: Array, xi: Array, xdot: Array, *, prefix: str = ""
-) -> Instant:
-    """Return the state of a derived system at which its links move as those of the old one.
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """A system with its state, as a part of another system.
 
-    Joints that only the new system has are at zero.  If they carry its first common link, they
-    move with it.
-
-    Args:
-        old: System whose state is known.
-        new: System with some or all of its links, and the same joints between them.
-        pose: Pose of the old system, (size,).
-        x: Shape of the old system, (nx,).
-        xi: Body twist of the old system, (r,).
-        xdot: Shape rate of the old system, (m,).
-        prefix: Text before the names of the old system in the new one.
+    Attributes:
+        system: The system.
+        state: Its state.
+        prefix: Text before its names in the other system.
     """
-    before, after = take_apart(old), take_apart(new)
-    model = old.sorted_model
-    data = model.createData()
-    q, v = old.sorted_q(pose, x), old.sorted_v(xi, xdot)
+
+    system: System
+    state: Instant
+    prefix: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """A system with its state, as a part of another system.
+
+    Attributes:
+        system: The system.
+        state: Its state.
+        prefix: Text before its names in the other system.
+    """
+
+    system: System
+    state: Instant
+    prefix: str = ""
+
+
+class Transfer:
+    """The map from states of some systems to the state of one whose links move as theirs.
+
+    Joints of the same name have the same values.  Joints that only the new system has follow from
+    the motion of the links that they connect: slides, then a hinge or a ball.  If they carry the
+    first common link from the root, they are at zero.
+    """
+
+    def __init__(self, systems: Sequence[System], prefixes: Sequence[str], new: System) -> None:
+        """Prepare the map.
+
+        Args:
+            systems: The systems.
+            prefixes: Text before the names of each in the new system.
+            new: System with some or all of their links, and the same joints between them.
+        """
+        self._new, self._assembly = new, take_apart(new)
+        edges = {edge.below: edge for edge in self._assembly.directed()}
+        self._slots = {joint.name: joint for joint in new.space.joints}
+        self._base: int | None = None  # number of the system that has the same root
+        self._prefixes = tuple(prefixes)
+        # For each system: its joint, that of the new system, and whether it is a reversed ball.
+        self._same: list[list[tuple[PlacedJoint, PlacedJoint, bool]]] = []
+        links, known = set[str](), set[str]()
+        for k, (system, prefix) in enumerate(zip(systems, prefixes, strict=True)):
+            before = renamed(take_apart(system), prefix)
+            turned = reversed_balls(before, self._assembly)
+            self._same.append([
+                (joint, self._slots[prefix + joint.name], prefix + joint.name in turned)
+                for joint in system.space.joints if prefix + joint.name in self._slots
+            ])  # fmt: skip
+            links |= {*before.links}
+            known |= {edge.name for edge in before.edges}
+            if self._base is None and _same_root(before.root, self._assembly.root):
+                self._base = k
+        self._runs: list[list[Edge]] = []
+        for name in [name for name in edges if name in links]:
+            run = [edges[name]]
+            while run[0].name not in known and run[0].above in edges and run[0].above not in links:
+                run.insert(0, edges[run[0].above])
+            if run[0].name not in known and run[0].above in links:
+                self._runs.append(run)
+
+    def __call__(self, parts: Sequence[Moving]) -> Instant:
+        """Return the state of the new system.
+
+        Args:
+            parts: The systems in the same order, with their states.
+        """
+        space = self._new.space
+        x, xdot = space.neutral.copy(), np.zeros(space.m)
+        links = dict[str, tuple[pin.SE3, pin.Motion]]()
+        for part, same in zip(parts, self._same, strict=True):
+            for joint, slot, is_reversed in same:
+                here = part.state.x[joint.x], part.state.xdot[joint.v]
+                x[slot.x], xdot[slot.v] = reversed_ball(*here) if is_reversed else here
+            if self._runs or self._base is None:
+                links |= link_motions(part)
+        for run in self._runs:
+            above, below = links[run[0].above], links[run[-1].below]
+            _solve_run(run, above, below, self._slots, x, xdot)
+        if self._base is not None:
+            state = parts[self._base].state
+            return Instant(state.pose.copy(), x, xdot, state.xi.copy())
+        pose, xi = _solve_root(self._assembly, self._new, links, self._slots, xdot)
+        return Instant(pose, x, xdot, xi)
+
+
+def carry_state(parts: Sequence[Moving], new: System) -> Instant:
+    """Return the state of a system at which its links move as those of others; see Transfer."""
+    systems, prefixes = [part.system for part in parts], [part.prefix for part in parts]
+    return Transfer(systems, prefixes, new)(parts)
+
+
+def link_motions(part: Moving) -> dict[str, tuple[pin.SE3, pin.Motion]]:
+    """Return the placement of each link in the world, and its twist in its own frame, by name."""
+    system, state, model = part.system, part.state, part.system.sorted_model
+    data = system.sorted_data
+    q, v = system.sorted_q(state.pose, state.x), system.sorted_v(state.xi, state.xdot)
     pin.forwardKinematics(model, data, q, v)
-    x_new, xdot_new = new.space.neutral.copy(), np.zeros(new.m)
-    turned = reversed_balls(renamed(before, prefix), after)
-    joints = {prefix + joint.name: joint for joint in old.space.joints}
-    for joint in new.space.joints:
-        if joint.name in joints:
-            own = joints[joint.name]
-            here = x[own.x], xdot[own.v]
-            x_new[joint.x], xdot_new[joint.v] = (
-                reversed_ball(*here) if joint.name in turned else here
-            )
-    root, own = after.root, before.root
-    same_root = root.link == prefix + own.link and root.joint.shortname() == own.joint.shortname()
-    if same_root and root.at == own.at and root.to == own.to:
-        return Instant(pose.copy(), x_new, xdot_new, xi.copy())
-    path = _path_to_known(after, {prefix + name for name in before.links})
-    link = path[-1].below if path else root.link
-    joint, on_joint = before.places[link.removeprefix(prefix)]
-    placement, twist = data.oMi[joint] * on_joint, on_joint.actInv(data.v[joint])
-    # Twists of the root and of the joints on the path, all at zero, in the frame of the link.
-    columns, to, slots = list[Array](), pin.SE3.Identity(), list[slice]()
-    for edge in path[::-1]:
+    return {
+        part.prefix + name: (data.oMi[joint] * at, at.actInv(data.v[joint]))
+        for name, (joint, at) in take_apart(system).places.items()
+    }
+
+
+def _same_root(a: Root, b: Root) -> bool:
+    same_kind = a.joint.shortname() == b.joint.shortname()
+    return a.link == b.link and same_kind and a.at == b.at and a.to == b.to
+
+
+def _solve_run(
+    run: Sequence[Edge],
+    above: tuple[pin.SE3, pin.Motion],
+    below: tuple[pin.SE3, pin.Motion],
+    slots: Mapping[str, PlacedJoint],
+    x: Array,
+    xdot: Array,
+) -> None:
+    """Fill in the values and rates of slides, then a hinge or a ball, between two moving links."""
+    relative = above[0].actInv(below[0])
+    motion = run[0].at.actInv(relative) * run[-1].to.inverse()
+    twist = below[1] - relative.actInv(above[1])
+    # Slides come first, so the translation is that along their axes.
+    v, w = motion.rotation @ run[-1].to.act(twist).linear, run[-1].to.act(twist).angular
+    for edge in run:
+        if edge.joint is None:
+            continue
+        S, slot = axes_of(edge.joint), slots[edge.name]
+        if is_ball(edge.joint):
+            x[slot.x], xdot[slot.v] = pin.Quaternion(motion.rotation).normalized().coeffs(), w
+        elif is_prismatic(edge.joint):
+            x[slot.x], xdot[slot.v] = S[:3].T @ motion.translation, S[:3].T @ v
+        else:
+            x[slot.x], xdot[slot.v] = S[3:].T @ pin.log3(motion.rotation), S[3:].T @ w
+
+
+def _solve_root(
+    assembly: Assembly,
+    new: System,
+    links: Mapping[str, tuple[pin.SE3, pin.Motion]],
+    slots: Mapping[str, PlacedJoint],
+    xdot: Array,
+) -> tuple[Array, Array]:
+    """Return pose and twist of a base that moves as the links do; joints before them are at zero.
+
+    The rates of these joints are filled in.
+    """
+    root, edges = assembly.root, assembly.directed()
+    first = next(name for name in (root.link, *(e.below for e in edges)) if name in links)
+    columns, moving, to = list[Array](), list[Edge](), pin.SE3.Identity()
+    for edge in assembly.path(first)[::-1]:
         to = edge.to * to
         if edge.joint is not None:
             columns.append(to.toActionMatrixInverse() @ axes_of(edge.joint))
-            slots.append(next(j.v for j in new.space.joints if j.name == edge.name))
+            moving.append(edge)
         to = edge.at * to
+    placement, twist = links[first]
     to = root.to * to
     columns.append(to.toActionMatrixInverse() @ axes_of(root.joint))
     rates = np.linalg.lstsq(np.hstack(columns), twist.vector, rcond=None)[0]
-    for slot in slots:
-        xdot_new[slot], rates = np.split(rates, [slot.stop - slot.start])
-    return Instant(pose_of(new, root.at.actInv(placement * to.inverse())), x_new, xdot_new, rates)
-
-
-def _path_to_known(assembly: Assembly, known: set[str]) -> tuple[Edge, ...]:
-    """Return the joints from the root link to the first link that is known."""
-    first = next(
-        name for name in (assembly.root.link, *(e.below for e in assembly.directed()))
-        if name in known
-    )  # fmt: skip
-    return assembly.path(first)
+    for edge in moving:
+        slot = slots[edge.name].v
+        xdot[slot], rates = np.split(rates, [slot.stop - slot.start])
+    return pose_of(new, root.at.actInv(placement * to.inverse())), rates

@@ -32,11 +32,14 @@ class Derivation:
         function: Name of the function.
         systems: The other systems.
         arguments: Texts and numbers that the function takes, by name.
+        doubts: Warnings about inertias, if they follow from those about the other systems; None
+            if the model must be searched for them.
     """
 
     function: str
     systems: tuple[System, ...]
     arguments: Mapping[str, Any]
+    doubts: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True)

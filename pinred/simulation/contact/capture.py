@@ -28,6 +28,7 @@ from ...scene.scene import Scene
 from ...system.assembly import renamed, reversed_balls, take_apart
 from ...system.derived_systems import (
     Instant,
+    Moving,
     Place,
     carry_state,
     cut,
@@ -199,7 +200,7 @@ def capture(
     r = A.r
     rows = jacobian(A, first, before_a)[:, :r]
     impulse = rows @ np.linalg.solve(rows.T @ rows, -(H_a @ lost_a)[:r])
-    shape = carry_shape(A, B, joined, (before_a, before_b), used)
+    shape = carry_state([Moving(A, before_a), Moving(B, before_b, used)], joined).x
     momentum_a = A.group.spatial_momentum(before_a.pose, p_a[:r])
     momentum_b = _in_root_of(A, B, B.group.spatial_momentum(before_b.pose, p_b[:r]))
     return Capture(
@@ -307,22 +308,6 @@ def _embedding(
     return np.vstack([J_a, J_b])
 
 
-def carry_shape(
-    A: System, B: System, joined: System, states: tuple[Instant, Instant], prefix: str
-) -> Array:
-    """Return the shape of a system that contains two others, (nx,); other joints are at zero."""
-    x = joined.space.neutral.copy()
-    turned = reversed_balls(renamed(take_apart(B), prefix), take_apart(joined))
-    slots = {joint.name: joint for joint in joined.space.joints}
-    for system, state, text in ((A, states[0], ""), (B, states[1], prefix)):
-        for joint in system.space.joints:
-            values = state.x[joint.x].copy()
-            if text + joint.name in turned and system is B:
-                values[:3] *= -1.0
-            x[slots[text + joint.name].x] = values
-    return x
-
-
 def _in_root_of(A: System, B: System, momentum: Array) -> Array:
     """Return a momentum of B, (r,) in the fixed frame of its root, in that of the root of A."""
     axes_a, axes_b = (axes_of(s.sorted_model.joints[1]) for s in (A, B))
@@ -384,7 +369,6 @@ def release(state: Moment, link: str, *, root: str = "") -> Release:
         UnsupportedOperationError: The robot has closed loops.
     """
     system, before = moment_of(state, "release")
-    columns = before.pose, before.x, before.xi, before.xdot
     parts = [cut(system, link=link, part=part, root=root if part else "") for part in (0, 1)]
-    carrier, released = (Released(part, carry_state(system, part, *columns)) for part in parts)
+    carrier, released = (Released(part, carry_state([Moving(system, before)], part)) for part in parts)
     return Release(system, before, link, carrier, released)

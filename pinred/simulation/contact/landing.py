@@ -26,6 +26,7 @@ from ...common.names import brief, listed, one_of, quoted
 from ...reduction.symbolic_placements import up_of
 from ...system.derived_systems import (
     Instant,
+    Moving,
     Pivot,
     Place,
     carry_state,
@@ -205,7 +206,7 @@ def _stance(
     standing = stand(
         system, frame=frames[0], at=at.tolist(), pivot=pivot, up=up.tolist(), name=name
     )
-    state = carry_state(system, standing, after.pose, after.x, after.xi, after.xdot)
+    state = carry_state([Moving(system, after)], standing)
     return Stance(standing, state), ""
 
 
