@@ -13,7 +13,9 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array
+from numpy.typing import ArrayLike
+
+from ..common.arrays import Array, vector
 from ..common.errors import InputError
 from ..common.names import listed, nearest, quoted
 from ..lie.groups import SO2, SO3
@@ -132,7 +134,7 @@ def both_doubts(a: System, b: System) -> tuple[str, ...]:
 
 
 def join(
-    a: System, b: System, *, at: str, onto: str, offset: Array, prefix: str, name: str = ""
+    a: System, b: System, *, at: str, onto: str, offset: ArrayLike, prefix: str, name: str = ""
 ) -> System:
     """Return the system in which two frames of two systems are fixed to each other.
 
@@ -151,6 +153,7 @@ def join(
         InputError: A frame is unknown, the groups or gravity differ, or a joint moves the other
             robot out of the group.
     """
+    placement = vector(offset, 7, "offset")
     first, second = place_of(a, at, "at"), place_of(b, onto, "onto")
     if reason := same_motions(a, b):
         raise InputError(f"join: {reason}")
@@ -163,13 +166,15 @@ def join(
             )
     edge = Edge(
         f"{at}+{prefix}{onto}", first.link, prefix + second.link, first.on_link,
-        pin.XYZQUATToSE3(offset) * second.on_link.inverse(),
+        pin.XYZQUATToSE3(placement) * second.on_link.inverse(),
     )  # fmt: skip
     root = replace(A.root, armature=A.root.armature + B.root.armature)
     joined = Assembly({**A.links, **B.links}, (*A.edges, edge, *B.edges), root, a.gravity)
     second_contents = renamed_contents(contents_of(b), prefix)
     refuse_forced_balls(second_contents, reversed_balls(B, joined), "join")
-    arguments = {"at": at, "onto": onto, "offset": offset.tolist(), "prefix": prefix, "name": name}
+    arguments = {
+        "at": at, "onto": onto, "offset": placement.tolist(), "prefix": prefix, "name": name,
+    }  # fmt: skip
     return to_system(
         joined, name or f"{a.name}+{b.name}", both_contents(contents_of(a), second_contents),
         Derivation("join", (a, b), arguments, both_doubts(a, b)),
