@@ -134,7 +134,8 @@ class _Body:
         is_link = model.existFrame(frame, pin.FrameType.BODY)
         number = model.getFrameId(frame, pin.FrameType.BODY) if is_link else model.getFrameId(frame)
         kind = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        return np.array(pin.getFrameJacobian(model, self.data, number, kind))
+        J = pin.getFrameJacobian(model, self.data, number, kind)
+        return np.reshape(J, (6, model.nv))
 
     def twists(self, v: Array) -> dict[str, Array]:
         """Return the twists of all links in world axes, (6,), by name, for velocities (nv,)."""
@@ -303,4 +304,5 @@ def _root_twists(system: System) -> Array:
     """Return twists of the root in the world, (6, r); momentum is conserved along them."""
     model, data = system.sorted_model, system.sorted_model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
-    return np.array(pin.getJointJacobian(model, data, 1, pin.ReferenceFrame.WORLD))[:, : system.r]
+    J = pin.getJointJacobian(model, data, 1, pin.ReferenceFrame.WORLD)
+    return np.reshape(J, (6, model.nv))[:, : system.r]

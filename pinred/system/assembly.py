@@ -565,8 +565,8 @@ def reversed_ball(x: Array, sigma: Array) -> tuple[Array, Array]:
 def new_root(system: System, link: str, frame: pin.SE3) -> tuple[pin.JointModel, pin.SE3]:
     """Return a root joint of the system's group, and the placement of a link on its moving side.
 
-    The moving side has the origin of the frame as far as the group can place it, and the axes of
-    the system's root where all joints are at zero.
+    The moving side is the frame as far as the group can place it: where the group lacks
+    translations or rotations, it has those of the system's root where all joints are at zero.
 
     Args:
         system: The robot.
@@ -589,6 +589,11 @@ def new_root(system: System, link: str, frame: pin.SE3) -> tuple[pin.JointModel,
     rest = rest * frame
     if group.name == "SE3":
         return root_joint(group), frame.inverse()
-    axes = axes_of(assembly.root.joint)[:3, : group.linear]
-    origin = pin.SE3(np.eye(3), axes @ (axes.T @ rest.translation))
+    S, k = axes_of(assembly.root.joint), group.linear
+    origin = pin.SE3(rest.rotation, S[:3, :k] @ (S[:3, :k].T @ rest.translation))
+    if group.turns < 3:
+        # The part of the rotation about the axis of the group: the twist of swing and twist.
+        turn, axis = pin.Quaternion(rest.rotation).coeffs(), S[3:, k:].sum(axis=1)
+        angle = 2.0 * np.arctan2(axis @ turn[:3], turn[3])
+        origin.rotation = pin.exp3(angle * axis)
     return assembly.root.joint, origin.inverse() * rest * frame.inverse()

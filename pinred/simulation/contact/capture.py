@@ -271,7 +271,8 @@ def jacobian(system: System, place: Place, state: Instant) -> Array:
     q = system.sorted_q(state.pose, state.x)
     pin.computeJointJacobians(model, data, q)
     J = pin.getJointJacobian(model, data, place.joint, pin.ReferenceFrame.LOCAL)
-    return np.asarray(system.on_shape(place.on_joint.toActionMatrixInverse() @ J))
+    local = place.on_joint.toActionMatrixInverse() @ np.reshape(J, (6, model.nv))
+    return system.on_shape(local)
 
 
 def _embedding(
