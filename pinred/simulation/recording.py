@@ -39,7 +39,8 @@ if TYPE_CHECKING:
 
 ORIGIN = (
     "source", "lock_joints", "lock_sizes", "lock_values", "gravity", "root",
-    "parameter_names", "parameter_sizes", "parameter_values", "derivation",
+    "parameter_names", "parameter_sizes", "parameter_values", "balls",
+    "derivation",
 )  # fmt: skip
 # Largest accepted difference between q and the configuration of pose and shape [rad | m].
 _TOLERANCE = 1e-6
@@ -225,6 +226,8 @@ def load_recorded_robot(
         system = load(
             source or None, text=None if source else str(text), group=group, lock=lock_in(origin),
             gravity=origin.get("gravity"), root=root,
+            balls=False if confirmed or "balls" not in origin
+            else [str(name) for name in np.atleast_1d(origin["balls"])],
         )  # fmt: skip
         for name in parameters:
             refuse_vague(system, name)

@@ -37,7 +37,7 @@ def save(traj: OverTime, path: str | Path) -> None:
 
     .npz contains one array for each field of State, with time as first axis, and `robot`, `group`
     and `joints`.  The arrays `source`, `lock_joints`, `lock_sizes`, `lock_values`, `gravity`,
-    `root` and `parameter_names`, `parameter_sizes`, `parameter_values` state how load() finds the
+    `root`, `balls` and `parameter_names`, `parameter_sizes`, `parameter_values` state how load() finds the
     robot; `derivation` is a JSON text that states how it was joined, cut or rooted elsewhere.
     .csv has a row for each time and columns such as `pose.x`, `x.hinge`, `xi.vx` and `energy`.
     .h5 (HDF5, written by h5py) has the arrays of .zarr with names of dimensions, labels, units and
@@ -96,6 +96,7 @@ def robot_arrays(system: System) -> dict[str, Any]:
         elif name in GRAVITY:
             del parameters[name]
     root = {} if origin is None or origin.root is None else {"root": np.array(origin.root)}
+    merged = [triple.name for triple in system.contents.merged]
     return {
         "robot": np.array(system.name),
         "group": np.array(system.group.name),
@@ -105,6 +106,7 @@ def robot_arrays(system: System) -> dict[str, Any]:
         **_lock_arrays(lock),
         "gravity": system.gravity,
         **root,
+        **({"balls": np.array(merged, dtype=str)} if merged else {}),
         **_parameter_arrays(parameters),
         **_derivation_array(origin),
     }
