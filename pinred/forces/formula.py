@@ -33,10 +33,12 @@ class Formula(SymbolFunction):
     Attributes:
         text: The formula, see signals/expressions.py.
         others: Further names that the formula may use, {name: SX}.
+        system: Robot of whose links the formula may use the height; None for no heights.
     """
 
     text: str
     others: Mapping[str, Any] = field(default_factory=dict)
+    system: System | None = None
 
     def __call__(self, s: Symbols) -> ca.SX:
         """Return the CasADi expression of the formula in the variables of forces.
@@ -46,7 +48,8 @@ class Formula(SymbolFunction):
         Returns:
             The expression.
         """
-        return parse(self.text, formula_names(s) | dict(self.others))
+        heights = {} if self.system is None else {"height": _Heights(self.system, s)}
+        return parse(self.text, formula_names(s) | dict(self.others) | heights)
 
 
 def formula_names(s: Symbols) -> dict[str, Any]:
@@ -93,15 +96,13 @@ class _Heights(dict[str, ca.SX]):
 class _Expression:
     """An expression wrapped as a force, so that `terms_of` reports its errors."""
 
-    def __init__(
-        self, system: System, expression: Callable[..., Any] | str, label: str
-    ) -> None:
+    def __init__(self, system: System, expression: Callable[..., Any] | str, label: str) -> None:
         self._system, self._expression, self.label = system, expression, label
 
     def terms(self, s: Any, number: Any) -> Terms:  # noqa: ARG002
         function = self._expression
         if isinstance(function, str):
-            function = Formula(function, {"height": _Heights(self._system, s)})
+            function = Formula(function, system=self._system)
         return Terms(potential=scalar(called(function, s, self.label), self.label))
 
 

@@ -74,7 +74,7 @@ class ChainReport:
     @property
     def verdict(self) -> Verdict:
         """FAILED if any part failed; CANNOT TELL if a motion cannot be judged completely."""
-        verdicts = {part.verdict for part in (*self.phases, *self.impacts)}
+        verdicts = {r.verdict for r in self.phases} | {r.verdict for r in self.impacts}
         worst = (Verdict.FAILED, Verdict.CANNOT_TELL, Verdict.PASSED)
         return next(verdict for verdict in worst if verdict in verdicts)
 
@@ -193,7 +193,9 @@ def _difference(values: Array, references: Array, scale: float) -> float:
 
 def _twist_error(found: dict[str, Array], expected: dict[str, Array], before: Array) -> float:
     names = found.keys() & expected.keys()
-    scale = max([float(np.abs(before).max(initial=0.0)), *(np.abs(expected[n]).max() for n in names)])
+    scale = max(
+        [float(np.abs(before).max(initial=0.0)), *(np.abs(expected[n]).max() for n in names)]
+    )
     return max(_difference(found[name], expected[name], scale) for name in names)
 
 
@@ -228,7 +230,9 @@ def _capture(capture: Capture) -> dict[str, float]:
         "momentum across it [relative]": _difference(
             twists.T @ joined.momentum(joined.v), twists.T @ sums, size
         ),
-        "energy lost [relative]": _difference(np.array(capture.energy_lost), np.array(lost), energy),
+        "energy lost [relative]": _difference(
+            np.array(capture.energy_lost), np.array(lost), energy
+        ),
         "energy after [relative]": _difference(
             np.array(joined.energy(joined.v)), np.array(energy - lost), energy
         ),

@@ -245,6 +245,8 @@ def _derived_robot(path: Path, text: str, *, confirmed: bool) -> System:
         path: Path of the recording.
         text: The function, its arguments and the other robots, as JSON.
         confirmed: Whether the user trusts the sources.
+    Returns:
+        The system.
     Raises:
         LoadError: The text is damaged, or a robot cannot be loaded.
     """

@@ -37,8 +37,8 @@ def save(traj: OverTime, path: str | Path) -> None:
 
     .npz contains one array for each field of State, with time as first axis, and `robot`, `group`
     and `joints`.  The arrays `source`, `lock_joints`, `lock_sizes`, `lock_values`, `gravity`,
-    `root`, `balls` and `parameter_names`, `parameter_sizes`, `parameter_values` state how load() finds the
-    robot; `derivation` is a JSON text that states how it was joined, cut or rooted elsewhere.
+    `root`, `balls` and `parameter_names`, `parameter_sizes`, `parameter_values` state how load()
+    finds the robot; `derivation` is a JSON text that states how it was joined or cut.
     .csv has a row for each time and columns such as `pose.x`, `x.hinge`, `xi.vx` and `energy`.
     .h5 (HDF5, written by h5py) has the arrays of .zarr with names of dimensions, labels, units and
     long names, as xarray and netCDF readers understand them.

@@ -197,7 +197,9 @@ class Assembly:
         base = builder.add_joint(0, root.joint, root.at, root.name, armature=root.armature)
         frame = model.addJointFrame(base)
         rates = list[tuple[int, Array]]()
-        places = {root.link: (base, root.to, _add_link(model, self, root.link, base, root.to, frame))}
+        places = {
+            root.link: (base, root.to, _add_link(model, self, root.link, base, root.to, frame))
+        }
         for edge in self.directed():
             joint, placement, above = places[edge.above]
             at = placement * edge.at
@@ -209,7 +211,11 @@ class Assembly:
                 at = pin.SE3.Identity()
             frame = model.addFrame(pin.Frame(edge.name, joint, above, at, edge.frame), False)
             here = at * edge.to
-            places[edge.below] = (joint, here, _add_link(model, self, edge.below, joint, here, frame))
+            places[edge.below] = (
+                joint,
+                here,
+                _add_link(model, self, edge.below, joint, here, frame),
+            )
         model = builder.finish()
         for joint, limits in rates:
             entries = slice(model.joints[joint].idx_v, model.joints[joint].idx_v + len(limits[0]))
@@ -369,9 +375,7 @@ class _Body:
         return bool((np.abs(moments.sum(axis=0) - total) <= _SAME_INERTIA * scale.max()).all())
 
 
-def to_system(
-    assembly: Assembly, name: str, contents: Contents, derivation: Derivation
-) -> System:
+def to_system(assembly: Assembly, name: str, contents: Contents, derivation: Derivation) -> System:
     """Return the system of an assembly.
 
     Args:

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 import pinocchio as pin
-
 from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, vector
@@ -283,7 +282,9 @@ def cut(system: System, *, link: str, part: int, root: str = "", name: str = "")
         carrier = Assembly(links, outside, assembly.root, assembly.gravity)
         return to_system(carrier, name or system.name, contents, derivation)
     joint, to = new_root(system, edge.below, pin.SE3.Identity())
-    base = Root(_root_name(links, inside), joint, edge.below, assembly.root.at, to, np.zeros(joint.nv))
+    base = Root(
+        _root_name(links, inside), joint, edge.below, assembly.root.at, to, np.zeros(joint.nv)
+    )
     released = Assembly(links, inside, base, assembly.gravity)
     if root and root != edge.below:
         if root not in links:
@@ -410,21 +411,6 @@ class Instant:
     x: Array
     xdot: Array
     xi: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Moving:
-    """A system with its state, as a part of another system.
-
-    Attributes:
-        system: The system.
-        state: Its state.
-        prefix: Text before its names in the other system.
-    """
-
-    system: System
-    state: Instant
-    prefix: str = ""
 
 
 @dataclass(frozen=True, eq=False)

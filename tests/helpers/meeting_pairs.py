@@ -55,7 +55,9 @@ def flat_tree(seed: int, joints: int) -> System:
     bodies = [root]
     for k in range(joints):
         kind = pin.JointModelRZ() if rng.random() < 0.7 else pin.JointModelPY()
-        at = pin.SE3(pin.utils.rotate("z", rng.uniform(-2, 2)), np.array([*rng.normal(size=2), 0.0]))
+        at = pin.SE3(
+            pin.utils.rotate("z", rng.uniform(-2, 2)), np.array([*rng.normal(size=2), 0.0])
+        )
         bodies.append(model.addJoint(int(rng.integers(1, model.njoints)), kind, at, f"j{k}"))
     for body in bodies:
         com = np.array([*0.3 * rng.normal(size=2), 0.0])
@@ -115,6 +117,7 @@ class Full:
     """A robot with all joints of its model: mass matrix, velocities, and rows of constraints."""
 
     def __init__(self, scene: pinred.Scene) -> None:
+        """Compute the mass matrix at the start of a scene."""
         system, start = scene.system, scene.start
         self.model, self.data = system.sorted_model, system.sorted_model.createData()
         self.q = system.sorted_q(start.pose, start.x)
@@ -123,7 +126,10 @@ class Full:
         self.H = upper + np.triu(upper, 1).T
         self.followers = np.zeros((len(system.couplings), self.model.nv))
         for row, coupling in zip(self.followers, system.couplings, strict=True):
-            for name, ratio in {coupling.follower: 1.0, **{k: -r for k, r in coupling.ratios.items()}}.items():
+            for name, ratio in {
+                coupling.follower: 1.0,
+                **{k: -r for k, r in coupling.ratios.items()},
+            }.items():
                 row[self.model.joints[self.model.getJointId(name)].idx_v] = ratio
 
     def rows(self, frame: str) -> Array:

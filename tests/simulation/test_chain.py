@@ -87,7 +87,11 @@ def test_chain_has_the_states_of_all_phases(chain: Chain, motions: dict[str, Any
     model = chain.system.model
     data = model.createData()
     for k in range(0, len(chain.t), 37):
-        upper = np.triu(pin.crba(chain.system.sorted_model, chain.system.sorted_data, chain.system.sort_q(chain.q[k])))
+        upper = np.triu(
+            pin.crba(
+                chain.system.sorted_model, chain.system.sorted_data, chain.system.sort_q(chain.q[k])
+            )
+        )
         v = chain.system.sort_v(chain.v[k])
         energy = 0.5 * v @ (upper + np.triu(upper, 1).T) @ v
         assert energy == pytest.approx(chain.energy[k], rel=1e-12)
@@ -122,16 +126,13 @@ def test_chain_saves_loads_plots_and_plays(chain: Chain, tmp_path: Path) -> None
     chain.save(tmp_path / "chain.npz")
     recording = pinred.read_recording(tmp_path / "chain.npz")
     assert recording.system.x_names == chain.system.x_names
-    for a, b in zip(
-        recording.system.model.inertias, chain.system.model.inertias, strict=True
-    ):
+    for a, b in zip(recording.system.model.inertias, chain.system.model.inertias, strict=True):
         np.testing.assert_array_equal(a.toDynamicParameters(), b.toDynamicParameters())
     np.testing.assert_array_equal(recording.q, chain.q)
     for kind in ("energy", "momentum", "base", "shape"):
         assert pinred.plot(chain, kind).axes
     assert pinred.save_html(chain, tmp_path / "chain.html") > 10_000
     assert pinred.save_html(recording, tmp_path / "recording.html") > 10_000
-    assert len(chain.to_pandas()) == len(chain.t)
 
 
 @pytest.mark.parametrize(
@@ -144,9 +145,7 @@ def test_chain_saves_loads_plots_and_plays(chain: Chain, tmp_path: Path) -> None
          '"group": "SE3", "source": "/etc/a.urdf"}]}', "another"),
     ],
 )  # fmt: skip
-def test_damaged_recipe_is_refused(
-    chain: Chain, tmp_path: Path, recipe: str, words: str
-) -> None:
+def test_damaged_recipe_is_refused(chain: Chain, tmp_path: Path, recipe: str, words: str) -> None:
     """A recipe that another program wrote neither executes anything nor names any file."""
     chain.save(tmp_path / "chain.npz")
     arrays = dict(np.load(tmp_path / "chain.npz"))
@@ -160,7 +159,9 @@ def test_landing_in_a_chain_goes_on_in_stance(tmp_path: Path) -> None:
     """A flight, a landing and the motion about the foot are one motion of the robot in flight."""
     rng = np.random.default_rng(0)
     model = pinred.Model("hopper").body("trunk", mass=3.0, inertia=[0.1, 0.2, 0.3])
-    model = model.hinge("leg", parent="trunk", axis="y", at=[0, 0, -0.1], mass=1.0, inertia=0.02, com=[0, 0, -0.2])
+    model = model.hinge(
+        "leg", parent="trunk", axis="y", at=[0, 0, -0.1], mass=1.0, inertia=0.02, com=[0, 0, -0.2]
+    )
     system = pinred.load(model.fixed("foot", parent="leg", at=[0, 0, -0.4]))
     event = pinred.Event("height['foot']", "touch", terminal=True, direction=-1)
     flight = pinred.simulate(
@@ -243,7 +244,9 @@ def test_comparison_finds_a_wrong_joined_robot() -> None:
     assert judge_impact(replace(capture, system=other)).verdict is Verdict.FAILED
     model = capture.system.model.copy()
     last = model.njoints - 1
-    model.jointPlacements[last] = model.jointPlacements[last] * pin.SE3(np.eye(3), 1e-8 * np.ones(3))
+    model.jointPlacements[last] = model.jointPlacements[last] * pin.SE3(
+        np.eye(3), 1e-8 * np.ones(3)
+    )
     assert judge_impact(replace(capture, system=pinred.System(model))).verdict is Verdict.FAILED
 
 
@@ -274,7 +277,7 @@ def rejected_chains(motions: dict[str, Any]) -> dict[str, tuple[Callable[[], obj
             ), "does not have the state",
         ),
         "slight jump": (lambda: pinred.chain(approach, capture, slightly), "does not start where"),
-        "slight delay": (lambda: pinred.chain([approach[0], later], capture, together), "end together"),
+        "delay": (lambda: pinred.chain([approach[0], later], capture, together), "end together"),
         "empty": (lambda: pinred.chain(), "a motion at the end"),
     }  # fmt: skip
 
@@ -282,7 +285,7 @@ def rejected_chains(motions: dict[str, Any]) -> dict[str, tuple[Callable[[], obj
 @pytest.mark.parametrize(
     "case",
     ["no motion first", "no motion last", "ends", "jump", "without impact", "one of two",
-     "other links", "lacks", "other end", "slight jump", "slight delay", "empty"],
+     "other links", "lacks", "other end", "slight jump", "delay", "empty"],
 )  # fmt: skip
 def test_chain_with_a_gap_is_refused_by_name(case: str, motions: dict[str, Any]) -> None:
     """The message says which part does not fit, and when."""
@@ -294,9 +297,7 @@ def test_chain_with_a_gap_is_refused_by_name(case: str, motions: dict[str, Any])
 def test_planar_chain_keeps_the_angle_of_many_turns() -> None:
     """Angles go on across a capture instead of jumping by full turns."""
     rock = pinred.Model("rock").body("rock", mass=1.0, inertia=1.0)
-    a, b = (
-        pinred.load(replace(rock, name=name), group="SE2", gravity=REST) for name in ("a", "b")
-    )
+    a, b = (pinred.load(replace(rock, name=name), group="SE2", gravity=REST) for name in ("a", "b"))
     slow = pinred.simulate(b, pose0=[0, 0, 15.0], xi0=[0, 0, 5.0], duration=1.0)
     fast = pinred.simulate(a, pose0=[0, 0, 0], xi0=[0, 0, 20.0], duration=1.0)
     capture = pinred.capture(slow, fast, at="rock", onto="rock", tolerance=1e-9)
@@ -304,5 +305,3 @@ def test_planar_chain_keeps_the_angle_of_many_turns() -> None:
     chain = pinred.chain([slow, fast], capture, after)
     assert np.abs(np.diff(chain.x[:, -1])).max() <= 0.2
     assert capture.instant.xi[2] == pytest.approx(12.5)
-
-

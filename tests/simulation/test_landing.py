@@ -1,4 +1,4 @@
-"""Landings against multipliers on the full mass matrix, a closed form, and Pinocchio's kinematics."""
+"""Landings against multipliers on the full mass matrix, and a closed form."""
 
 from __future__ import annotations
 
@@ -43,14 +43,18 @@ def test_landing_of_random_robots_equals_constrained_impulse(kind: str, contact:
         group = GROUPS[scene.system.group.name]
         place = scene.system.model.jointPlacements[1]
         on_root = place.actInv(pin.Force(jump)).vector[list(group.axes)]
-        assert np.abs(landing.momentum_jump - on_root).max() <= 1e-12 * max(size, np.abs(jump).max())
+        assert np.abs(landing.momentum_jump - on_root).max() <= 1e-12 * max(
+            size, np.abs(jump).max()
+        )
         if landing.stance is None:
             assert contact == "flat"
             assert "flat foot" in landing.why_no_stance
             continue
         assert landing.stance.system.group.name == ("SO2" if kind == "flat" else "SO3")
         stance = Full(landing.stance.scene)
-        assert 0.5 * stance.v @ stance.H @ stance.v == pytest.approx(0.5 * v @ full.H @ v, rel=1e-12)
+        assert 0.5 * stance.v @ stance.H @ stance.v == pytest.approx(
+            0.5 * v @ full.H @ v, rel=1e-12
+        )
         expected, found = full.twists(v), stance.twists(stance.v)
         assert max(np.abs(found[n] - expected[n]).max() for n in expected) <= 1e-13 * speed
 
@@ -65,11 +69,15 @@ def test_rod_that_lands_on_its_end_equals_closed_form() -> None:
     body_rate = [-v * s, -v * c, 0.0]  # v downwards, in the axes of the rod
     landing = pinred.land(Scene(system=system, pose0=[0, 1, angle], xi0=body_rate), "end")
     rate = -1.5 * v * c / l
-    np.testing.assert_allclose(landing.instant.xi, [0.0, rate * l / 2, rate], rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(
+        landing.instant.xi, [0.0, rate * l / 2, rate], rtol=1e-14, atol=1e-15
+    )
     lost = 0.5 * m * v**2 * (1.0 - 0.75 * c**2)
     assert landing.energy_lost == pytest.approx(lost, rel=1e-14)
     up = m * (rate * l / 2 * c + v)
-    np.testing.assert_allclose(landing.impulse, [[-m * rate * l / 2 * s, up, 0.0]], rtol=1e-13, atol=1e-15)
+    np.testing.assert_allclose(
+        landing.impulse, [[-m * rate * l / 2 * s, up, 0.0]], rtol=1e-13, atol=1e-15
+    )
     assert landing.stance is not None
     assert landing.stance.system.group.name == "SO2"
     np.testing.assert_allclose(landing.stance.instant.xi, [rate], rtol=1e-14)
@@ -87,7 +95,9 @@ def falling_robot(seed: int) -> pinred.System:
 def test_stance_under_gravity_is_a_pivot_about_the_vertical() -> None:
     """Root SO2 along gravity with two tilts: the foot stays, ABA agrees, energy is that left."""
     system = falling_robot(1)
-    scene = Scene(system=system, seed=5, pose0=pin.SE3ToXYZQUAT(pin.SE3(pin.exp3(np.ones(3)), np.ones(3))))
+    scene = Scene(
+        system=system, seed=5, pose0=pin.SE3ToXYZQUAT(pin.SE3(pin.exp3(np.ones(3)), np.ones(3)))
+    )
     landing = pinred.land(scene, "tip")
     stance = landing.stance
     assert stance is not None
@@ -203,11 +213,16 @@ def test_height_in_formulas_equals_kinematics(group: str) -> None:
 def test_flight_that_ends_where_a_foot_lands() -> None:
     """A formula of the height, against gravity, stops a fall; the landing follows from its end."""
     system = falling_robot(2)
-    level = height_by_pinocchio(system, system.group.identity(), Scene(system=system, seed=5).start.x) - 0.5
+    level = (
+        height_by_pinocchio(system, system.group.identity(), Scene(system=system, seed=5).start.x)
+        - 0.5
+    )
     event = pinred.Event(f"height['tip'] + {-level!r}", "touch", terminal=True, direction=-1)
     flight = pinred.simulate(system, seed=5, duration=5.0, events=event)
     assert flight.ended_by == "touch"
-    assert height_by_pinocchio(system, flight.pose[-1], flight.x[-1]) == pytest.approx(level, abs=1e-9)
+    assert height_by_pinocchio(system, flight.pose[-1], flight.x[-1]) == pytest.approx(
+        level, abs=1e-9
+    )
     landing = pinred.land(flight, "tip")
     model, data = system.sorted_model, system.sorted_model.createData()
     state = landing.instant

@@ -22,7 +22,9 @@ HERE = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 def mass_matrix(system: System, x: Array) -> Array:
     """Return the mass matrix of all joints, (nv, nv)."""
     model = system.sorted_model
-    upper = np.triu(pin.crba(model, model.createData(), system.sorted_q(system.group.identity(), x)))
+    upper = np.triu(
+        pin.crba(model, model.createData(), system.sorted_q(system.group.identity(), x))
+    )
     return np.asarray(upper + np.triu(upper, 1).T)
 
 
@@ -123,7 +125,7 @@ def test_links_whose_inertias_do_not_add_up_stay_together() -> None:
     )
     heavier = System(other, contents=system.contents)
     assert [*take_apart(heavier).links] == ["bus"]
-    with pytest.raises(InputError, match="frame on link 'bus'.*states no inertia of its own"):
+    with pytest.raises(InputError, match=r"frame on link 'bus'.*states no inertia of its own"):
         pinred.release(pinred.Scene(system=heavier, xi0=np.ones(6)), "mast")
 
 
@@ -161,9 +163,10 @@ def test_coupled_joints_cannot_be_separated() -> None:
     <joint name="k" type="revolute"><parent link="b"/><child link="c"/><axis xyz="0 0 1"/>
     <origin xyz="1 0 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/>
     <mimic joint="j" multiplier="2"/></joint></robot>"""
-    inertia = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    inertia = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" '
+    inertia += 'iyz="0"/></inertial>'
     system = pinred.load(text=text.replace("I<", f"{inertia}<"), group="SE3", gravity=REST)
-    with pytest.raises(InputError, match="a coupling of 'r' connects joints.*k, j"):
+    with pytest.raises(InputError, match=r"a coupling of 'r' connects joints.*k, j"):
         pinred.release(pinred.Scene(system=system, xdot0=[1.0]), "c")
 
 
@@ -173,7 +176,9 @@ def test_joined_robot_of_any_place_is_symmetric() -> None:
     a, b = (random_robot("balls", seed, rng) for seed in (21, 22))
     offset = placement(rng)
     first = join(a, b, at="tip", onto="tip", offset=pin.SE3ToXYZQUAT(offset), prefix="b_")
-    second = join(b, a, at="tip", onto="tip", offset=pin.SE3ToXYZQUAT(offset.inverse()), prefix="a_")
+    second = join(
+        b, a, at="tip", onto="tip", offset=pin.SE3ToXYZQUAT(offset.inverse()), prefix="a_"
+    )
     assert first.n == second.n
     assert first.mass == pytest.approx(second.mass, rel=1e-15)
     assert len(take_apart(first).links) == len(take_apart(second).links)

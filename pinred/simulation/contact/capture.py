@@ -153,8 +153,8 @@ def capture(
 
     Args:
         a: The first system with its state: a Trajectory or Recording, whose last state counts; a
-            Scene, whose start counts; a Capture, Release or Landing; or a System with its own
-            initial state.
+            Scene, whose start counts; a Capture, a Landing, or a part of a Release; or a System
+            with its own initial state.
         b: The second system with its state at the same time.
         at: Link or frame of the first.
         onto: Link or frame of the second, which coincides with it.
@@ -183,7 +183,9 @@ def capture(
     data_a, data_b = (placements(s, i.pose, i.x) for s, i in ((A, before_a), (B, before_b)))
     meeting = data_a.oMi[first.joint] * first.on_joint
     offset = meeting.actInv(data_b.oMi[second.joint] * second.on_joint)
-    _check_meeting(offset, tolerance, f"{quoted(at)} of '{A.name}'", f"{quoted(onto)} of '{B.name}'")
+    _check_meeting(
+        offset, tolerance, f"{quoted(at)} of '{A.name}'", f"{quoted(onto)} of '{B.name}'"
+    )
     used = free_prefix(A, B) if prefix is None else prefix
     joined = join(
         A, B, at=at, onto=onto, offset=np.array(pin.SE3ToXYZQUAT(offset)), prefix=used, name=name
@@ -216,8 +218,14 @@ def capture(
 def moment_of(value: Moment, what: str) -> tuple[System, Instant]:
     """Return a system with its state.
 
-    Raises InputError for another value or a state that is not finite, and
-    UnsupportedOperationError for closed loops.
+    Args:
+        value: The value that states both.
+        what: Name of the argument in messages.
+    Returns:
+        The system and its state.
+    Raises:
+        InputError: The value is of another type, or the state is not finite.
+        UnsupportedOperationError: The system has closed loops.
     """
     if isinstance(value, System):
         value = scene_of(checked_system(value, what), {})
@@ -229,14 +237,12 @@ def moment_of(value: Moment, what: str) -> tuple[System, Instant]:
     elif isinstance(value, OverTime):
         system = value.system
         last = value(value.scene.end) if isinstance(value, Trajectory) else value.states
-        columns = (last.pose, last.x, last.xdot, last.xi)
-        if last.t.ndim:
-            columns = tuple(column[-1] for column in columns)  # type: ignore[assignment]
-        state = Instant(*columns)
+        k = (-1,) if last.t.ndim else ()
+        state = Instant(last.pose[k], last.x[k], last.xdot[k], last.xi[k])
     else:
         raise InputError(
-            f"{what}: expected a Trajectory, Recording, Scene, System, Capture, Release or "
-            f"Landing, got {type(value).__name__}"
+            f"{what}: expected a Trajectory, Recording, Scene, System, Capture, Landing or a part "
+            f"of a Release, got {type(value).__name__}"
         )
     system.refuse_loops(what)
     if not all(is_finite(column) for column in vars(state).values()):
@@ -300,9 +306,7 @@ def _embedding(
             block = -pin.Quaternion(states[1].x[joint.x]).matrix().T
         J_b[r:][joint.v, r:][:, slots[name].v] = block
     # The frames move alike: rows_b (ξ_b, ẋ_b) = offset⁻¹ rows_a (ξ_a, ẋ_a).
-    rows_a, rows_b = (
-        jacobian(s, p, i) for s, p, i in zip((A, B), places, states, strict=True)
-    )
+    rows_a, rows_b = (jacobian(s, p, i) for s, p, i in zip((A, B), places, states, strict=True))
     common = offset.toActionMatrixInverse() @ rows_a @ J_a - rows_b[:, r:] @ J_b[r:]
     base = rows_b[:, :r]
     J_b[:r] = np.linalg.solve(base.T @ base, base.T @ common)
@@ -347,6 +351,16 @@ class Release:
     carrier: Released
     released: Released
 
+    def __str__(self) -> str:
+        rows = [f"{self.whole.name} opens at {self.link}"]
+        for part in (self.carrier, self.released):
+            system = part.system
+            rows.append(
+                f"  {system.name:<42} {system.mass:.6g} kg, {system.group.name} x "
+                f"{system.m} joints, xi = {np.array2string(part.instant.xi, precision=6)}"
+            )
+        return "\n".join(rows)
+
     def __repr__(self) -> str:
         return (
             f"<Release of {self.released.system.name!r} from {self.whole.name!r} at {self.link!r}>"
@@ -371,5 +385,7 @@ def release(state: Moment, link: str, *, root: str = "") -> Release:
     """
     system, before = moment_of(state, "release")
     parts = [cut(system, link=link, part=part, root=root if part else "") for part in (0, 1)]
-    carrier, released = (Released(part, carry_state([Moving(system, before)], part)) for part in parts)
+    carrier, released = (
+        Released(part, carry_state([Moving(system, before)], part)) for part in parts
+    )
     return Release(system, before, link, carrier, released)

@@ -255,7 +255,10 @@ def gap(a: Sequence[Moving], b: Sequence[Moving]) -> float:
         for k in (0, 1)
     )  # fmt: skip
     return max(
-        float(np.abs(values[1] - values[0]).max(initial=0.0) / max(np.abs(values).max(initial=0.0), 1.0))
+        float(
+            np.abs(values[1] - values[0]).max(initial=0.0)
+            / max(np.abs(values).max(initial=0.0), 1.0)
+        )
         for values in (places, twists)
     )
 
@@ -324,7 +327,9 @@ def _continued(whole: System, state: Instant, last: tuple[Array, Array] | None) 
         if values[entries] @ previous[entries] < 0.0:
             values[entries] *= -1.0
     angles = [
-        (x, last[1], j.x) for j in whole.space.joints if not j.kind.is_ball and j.kind.units == ("rad",)
+        (x, last[1], j.x)
+        for j in whole.space.joints
+        if not j.kind.is_ball and j.kind.units == ("rad",)
     ]
     if group.turns == 1:
         angles.append((pose, last[0], slice(group.linear, group.size)))

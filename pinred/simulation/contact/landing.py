@@ -22,7 +22,7 @@ import pinocchio as pin
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, entries_of
 from ...common.errors import InputError
-from ...common.names import brief, listed, one_of, quoted
+from ...common.names import brief, listed, one_of
 from ...reduction.symbolic_placements import up_of
 from ...system.derived_systems import (
     Instant,
@@ -92,7 +92,9 @@ class Landing(_AfterImpact):
         """Frames on which the impulse pulls towards the ground, which no free ground can do."""
         up = up_of(self.system)
         return tuple(
-            frame for frame, row in zip(self.frames, self.impulse, strict=True) if row[:3] @ up < 0.0
+            frame
+            for frame, row in zip(self.frames, self.impulse, strict=True)
+            if row[:3] @ up < 0.0
         )
 
     def __repr__(self) -> str:
@@ -130,8 +132,8 @@ def land(
 
     Args:
         state: The robot with its state: a Trajectory or Recording, whose last state counts; a
-            Scene, whose start counts; or a Capture, Release or Landing.  An event with the formula
-            height['foot'] ends a flight where a foot meets the ground.
+            Scene, whose start counts; a Capture, a Landing, or a part of a Release.  An event with
+            the formula height['foot'] ends a flight where a foot meets the ground.
         frame: Link or frame that stops, or several that stop at once.
         contact: "point": the origin of the frame stops.  "flat": the frame stops turning, too.
         name: Name of the stance robot; that of the robot with its foot by default.
@@ -165,14 +167,12 @@ def land(
     jump = -np.linalg.solve(L.T, U[:, :rank] @ stopped)
     impulse = -(Vt[:rank].T @ (stopped / s[:rank])).reshape(len(frames), rows)
     r = system.r
-    momenta = [
-        system.group.spatial_momentum(before.pose, (H @ u)[:r]) for u in (v, jump)
-    ]
+    momentum, change = (system.group.spatial_momentum(before.pose, (H @ u)[:r]) for u in (v, jump))
     after = Instant(before.pose, before.x, before.xdot + jump[r:], before.xi + jump[:r])
     stance, why = _stance(system, after, frames, places, contact, name)
     return Landing(
         system, after, before, frames, contact, impulse, float(0.5 * v @ H @ v),
-        float(0.5 * stopped @ stopped), *momenta, stance, why,
+        float(0.5 * stopped @ stopped), momentum, change, stance, why,
     )  # fmt: skip
 
 

@@ -171,9 +171,10 @@ def _shapes_of_parts(system: System, derivation: Derivation, folders: Sequence[s
     solids, meshes, notes = list[Solid](), list[Mesh](), list[str]()
     drawn = set[int]()  # joints with shapes
     new = take_apart(system)
-    for part, prefix in zip(derivation.systems, ("", derivation.arguments.get("prefix", ""))):
+    prefixes = ("", derivation.arguments.get("prefix", ""))[: len(derivation.systems)]
+    for part, prefix in zip(derivation.systems, prefixes, strict=True):
         bodies, old = drawn_bodies(part, meshes=folders or True), take_apart(part)
-        own = {joint: name for name, (joint, _) in reversed(old.places.items())}
+        own = {joint: name for name, (joint, _) in reversed([*old.places.items()])}
         if bodies.note:
             notes.append(f"{part.name}: {bodies.note}")
         for solid in bodies.solids:
