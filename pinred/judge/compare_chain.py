@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..reduction.inertia_split import symmetric
 from ..simulation.contact.capture import Capture, Release
@@ -29,6 +30,7 @@ from .verdict import Report, Verdict, table_of
 IMPACT_BOUND = 1e-11  # largest passing difference across an impact, relative to size and speed
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class ImpactReport:
     """Errors of a capture, release or landing, relative to sizes before and after it.
@@ -59,6 +61,7 @@ class ImpactReport:
         return "\n".join([*rows, *table_of(self.checks), f"  verdict: {self.verdict}"])
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class ChainReport:
     """Comparison of a chain with the full simulation, phase by phase.

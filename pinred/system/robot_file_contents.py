@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import pinocchio as pin
 
@@ -17,9 +17,6 @@ from .hinge_triples import HingeTriple
 from .locked_joints import LockedJoints, LockValue
 from .loops.loop import Constraint
 from .visuals import Visuals
-
-if TYPE_CHECKING:
-    from .system import System
 
 LimitKind: TypeAlias = Literal["position", "rate", "effort"]
 
@@ -37,7 +34,7 @@ class Derivation:
     """
 
     function: str
-    systems: tuple[System, ...]
+    systems: tuple[Any, ...]  # of System, which has an Origin and so imports this module
     arguments: Mapping[str, Any]
     doubts: tuple[str, ...] | None = None
 

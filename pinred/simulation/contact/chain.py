@@ -11,14 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
+from ...common.arrays import Array, entries_of
 from ...common.errors import InputError
-from ...common.names import listed
+from ...common.names import brief, listed
 from ...system.assembly import take_apart
 from ...system.derived_systems import (
     Instant,
@@ -83,6 +83,7 @@ class Chain(Recording):
         phases: The phases.
         impacts: What happens after each phase except the last: a Capture, Release or Landing, or
             None.
+        whole: The system that contains the robots of all phases; `system` is the same.
     """
 
     phases: tuple[Phase, ...] = ()
@@ -111,14 +112,13 @@ class Chain(Recording):
         return self.phases[-1].end
 
 
-@checks_arguments
-def chain(*parts: Trajectory | Sequence[Trajectory] | Capture | Release | Landing) -> Chain:
+def chain(*parts: Any) -> Chain:
     """Connect motions, and the impacts between them, to one motion.
 
     Args:
-        parts: Motions in the order of time, with the Capture, Release or Landing between them.
-            Systems that move at the same time are a list of motions: chain([chaser, target],
-            capture, together).
+        parts: Trajectories in the order of time, with the Capture, Release or Landing between
+            them.  Systems that move at the same time are a list of motions:
+            chain([chaser, target], capture, together).
     Returns:
         The chain.
     Raises:
@@ -153,7 +153,7 @@ def chain(*parts: Trajectory | Sequence[Trajectory] | Capture | Release | Landin
 
 
 def _ordered(
-    parts: Sequence[Trajectory | Sequence[Trajectory] | Impact],
+    parts: Sequence[Any],
 ) -> tuple[list[tuple[Trajectory, ...]], tuple[Impact | None, ...]]:
     """Return the motions of each phase, and what happens between phases."""
     motions, impacts = list[tuple[Trajectory, ...]](), list[Impact | None]()
@@ -164,9 +164,12 @@ def _ordered(
                 raise InputError("chain: expected a motion before each Capture, Release or Landing")
             pending = part
             continue
-        moving = (part,) if isinstance(part, Trajectory) else tuple(part)
+        moving = (part,) if isinstance(part, Trajectory) else tuple(entries_of(part) or ())
         if not moving or not all(isinstance(traj, Trajectory) for traj in moving):
-            raise InputError("chain: expected a Trajectory or a list of them for each phase")
+            raise InputError(
+                "chain: expected a Trajectory, a list of them, a Capture, Release or Landing, got "
+                f"{brief(part)}"
+            )
         if motions:
             impacts.append(pending)
         motions.append(moving)

@@ -78,7 +78,7 @@ class Landing(_AfterImpact):
 
     before: Instant
     frames: tuple[str, ...]
-    contact: Contact
+    contact: Literal["point", "flat"]
     impulse: Array
     energy_before: float
     energy_lost: float
@@ -126,7 +126,7 @@ class Landing(_AfterImpact):
 
 @checks_arguments
 def land(
-    state: Moment, frame: str | Sequence[str], *, contact: Contact = "point", name: str = ""
+    state: Moment, frame: str | Sequence[str], *, contact: Literal["point", "flat"] = "point", name: str = ""
 ) -> Landing:
     """Stop one or several frames of a robot dead, by the impulse of the ground.
 
