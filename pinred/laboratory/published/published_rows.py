@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from ...common.errors import InputError
 from ...common.names import nearest
 from . import (
+    captures,
     cats,
     pendulums,
     planar_bodies,
@@ -23,7 +24,7 @@ ROWS: dict[str, Row] = {
     each.name: each
     for module in (
         *(rigid_bodies, tops, cats, planar_bodies, pendulums),
-        *(three_link_chains, wheels_and_momentum, space_arms),
+        *(three_link_chains, wheels_and_momentum, space_arms, captures),
     )
     for each in module.ROWS
 }

@@ -126,7 +126,11 @@ class Landing(_AfterImpact):
 
 @checks_arguments
 def land(
-    state: Moment, frame: str | Sequence[str], *, contact: Literal["point", "flat"] = "point", name: str = ""
+    state: Moment,
+    frame: str | Sequence[str],
+    *,
+    contact: Literal["point", "flat"] = "point",
+    name: str = "",
 ) -> Landing:
     """Stop one or several frames of a robot dead, by the impulse of the ground.
 
