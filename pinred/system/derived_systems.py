@@ -272,12 +272,14 @@ def cut(system: System, *, link: str, part: int, root: str = "", name: str = "")
         if other.above in below:
             below.add(other.below)
     inside = tuple(e for e in edges if e.above in below)
-    outside = tuple(e for e in edges if e.below not in below)
+    idle = _without_mass([e for e in edges if e.below not in below], assembly.links)
+    outside = tuple(e for e in edges if e.below not in below | idle)
     arguments = {"link": link, "part": part, "root": root, "name": name}
     derivation = Derivation("cut", (system,), arguments)
     joints = {e.name for e in (inside if part else outside) if e.joint is not None}
     contents = contents_of(system, joints)
-    links = {n: entry for n, entry in assembly.links.items() if (n in below) == bool(part)}
+    own = below if part else assembly.links.keys() - below - idle
+    links = {n: entry for n, entry in assembly.links.items() if n in own}
     if not part:
         carrier = Assembly(links, outside, assembly.root, assembly.gravity)
         return to_system(carrier, name or system.name, contents, derivation)
@@ -298,6 +300,19 @@ def cut(system: System, *, link: str, part: int, root: str = "", name: str = "")
         refuse_forced_balls(contents, reversed_balls(released, moved), "root")
         released = moved
     return to_system(released, name or edge.below, contents, derivation)
+
+
+def _without_mass(edges: Sequence[Edge], links: Mapping[str, Link]) -> set[str]:
+    """Return the links behind joints that move no mass any more after a cut."""
+    light, idle = set[str](), set[str]()
+    for edge in edges[::-1]:  # the outer links first
+        outer = [other.below for other in edges if other.above == edge.below]
+        if links[edge.below].inertia.mass == 0.0 and light.issuperset(outer):
+            light.add(edge.below)
+    for edge in edges:
+        if edge.below in light and (edge.joint is not None or edge.above in idle):
+            idle.add(edge.below)
+    return idle
 
 
 def _root_name(links: Mapping[str, Link], edges: tuple[Edge, ...]) -> str:

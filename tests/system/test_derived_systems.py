@@ -170,6 +170,19 @@ def test_coupled_joints_cannot_be_separated() -> None:
         pinred.release(pinred.Scene(system=system, xdot0=[1.0]), "c")
 
 
+@pytest.mark.filterwarnings("ignore:.*singular at single shapes")
+def test_cut_drops_joints_that_move_nothing_any_more() -> None:
+    """A massless link on a joint goes with the body that it carried; frames without mass stay."""
+    model = pinred.Model().body("bus", mass=1.0, inertia=1.0).fixed("eye", parent="bus")
+    model = model.ball("wrist", parent="bus", at=[1, 0, 0], mass=1.0, inertia=1.0)
+    system = pinred.load(model, balls=[], gravity=REST)  # a ball as three hinges
+    assert system.m == 3
+    release = pinred.release(pinred.Scene(system=system, seed=1), "wrist")
+    assert release.carrier.system.m == 0
+    assert [*take_apart(release.carrier.system).links] == ["bus", "eye"]
+    assert release.released.system.mass == 1.0
+
+
 def test_joined_robot_of_any_place_is_symmetric() -> None:
     """Joining a to b or b to a gives the same robot but for its root."""
     rng = np.random.default_rng(5)

@@ -16,7 +16,7 @@ POINT = 1e-12  # moment of inertia of the disc, which the textbook takes as a po
     relative=1e-11,
 )
 def disc_and_stick() -> Numbers:
-    """Compare a disc of 2 kg at 3 m/s and a resting stick of 1 kg and 4 m with 2 m/s and 1 rad/s."""
+    """Compare a disc of 2 kg at 3 m/s, and a stick of 1 kg and 4 m at rest, with the book."""
     still = (0.0, 0.0, 0.0)
     stick = Model("stick").body("stick", mass=1.0, inertia=1.0 * 4.0**2 / 12.0)
     stick = stick.fixed("end", parent="stick", at=[0.0, 2.0, 0.0])

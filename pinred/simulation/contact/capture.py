@@ -127,12 +127,12 @@ class Capture(_AfterImpact):
         )
 
     def __str__(self) -> str:
-        names, numbers = self.system.group.momentum_names, np.array2string
+        names = ", ".join(self.system.group.momentum_names)
         rows = [
-            ("impulse on the first [N·s | N·m·s]", numbers(self.impulse, precision=6)),
+            ("impulse on the first [N·s | N·m·s]", in_words(self.impulse)),
             ("energy lost [J]", f"{self.energy_lost:.6g} of {self.energy_before:.6g}"),
-            (f"momenta before ({', '.join(names)})", numbers(self.momentum_before, precision=6)),
-            ("momentum after", numbers(self.momentum, precision=6)),
+            (f"momenta before ({names})", in_words(self.momentum_before)),
+            ("momentum after", in_words(self.momentum)),
         ]
         head = f"{self.a.name} captures {self.b.name}: {self.onto} fixed to {self.at}"
         return "\n".join([head, *(f"  {name:<42} {value}" for name, value in rows)])
@@ -213,6 +213,13 @@ def capture(
         momentum_a=momentum_a, momentum_b=momentum_b,
         momentum=A.group.spatial_momentum(before_a.pose, (H @ v)[:r]),
     )  # fmt: skip
+
+
+def in_words(values: Array) -> str:
+    """Return numbers as text of one line; round-off of the largest counts as zero."""
+    least = 1e-12 * float(np.abs(values).max(initial=0.0))
+    shown = [f"{value:.6g}" if abs(value) > least else "0" for value in values.tolist()]
+    return f"({', '.join(shown)})"
 
 
 def moment_of(value: Moment, what: str) -> tuple[System, Instant]:
@@ -357,7 +364,7 @@ class Release:
             system = part.system
             rows.append(
                 f"  {system.name:<42} {system.mass:.6g} kg, {system.group.name} x "
-                f"{system.m} joints, xi = {np.array2string(part.instant.xi, precision=6)}"
+                f"{system.m} joints, xi = {in_words(part.instant.xi)}"
             )
         return "\n".join(rows)
 

@@ -36,7 +36,7 @@ from ...system.derived_systems import (
 )
 from ...system.joints import axes_of
 from ...system.system import System
-from .capture import Moment, _AfterImpact, jacobian, mass_matrix, moment_of
+from .capture import Moment, _AfterImpact, in_words, jacobian, mass_matrix, moment_of
 
 Contact: TypeAlias = Literal["point", "flat"]
 CONTACTS: tuple[Contact, ...] = ("point", "flat")
@@ -106,14 +106,13 @@ class Landing(_AfterImpact):
 
     def __str__(self) -> str:
         rows = [
-            (f"impulse on {frame} [N·s{' | N·m·s' * (len(row) > 3)}]",
-             np.array2string(row, precision=6))
+            (f"impulse on {frame} [N·s{' | N·m·s' * (len(row) > 3)}]", in_words(row))
             for frame, row in zip(self.frames, self.impulse, strict=True)
         ]  # fmt: skip
         names = ", ".join(self.system.group.momentum_names)
         rows += [
             ("energy lost [J]", f"{self.energy_lost:.6g} of {self.energy_before:.6g}"),
-            (f"jump of the momentum ({names})", np.array2string(self.momentum_jump, precision=6)),
+            (f"jump of the momentum ({names})", in_words(self.momentum_jump)),
         ]
         rows.append(("stance", repr(self.stance.system) if self.stance else self.why_no_stance))
         lines = [f"  {name:<42} {value}" for name, value in rows]
