@@ -96,7 +96,7 @@ print(f"rotation of the bus: {rates[0]:.4f} rad/s after the capture, {rates[-1]:
 assert rates[-1] < 1e-3 * rates[0]
 
 # %% [markdown]
-# At the end, the wheels spin with all angular momentum, times 1 / 0.08 kg m² in the axes of the bus.
+# At the end, all angular momentum is in the wheels: their spins times 0.08 kg m².
 
 # %%
 end, joined = detumbling(60.0), capture.system.model
