@@ -119,6 +119,25 @@ def test_capture_on_a_rail_and_on_a_shaft_equals_closed_form() -> None:
         assert capture.energy_lost == pytest.approx(lost, rel=1e-14)
 
 
+def test_capture_on_a_shaft_adds_the_rotors_of_both_roots() -> None:
+    """Armature of the roots is inertia about the shaft: ω = Σ (I + a) ω / Σ (I + a)."""
+    scenes, sizes, rates = [], np.array([3.0, 5.0]), np.array([1.2, -0.4])
+    rotors = np.array([0.5, 0.25])
+    for name, size, rotor, rate in zip("ab", sizes, rotors, rates, strict=True):
+        model = pin.Model()
+        model.gravity.setZero()
+        root = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "root")
+        disc = pin.Inertia(1.0, np.zeros(3), size * np.eye(3))
+        model.appendBodyToJoint(root, disc, pin.SE3.Identity())
+        model.addFrame(pin.Frame(name, root, 0, pin.SE3.Identity(), pin.FrameType.BODY), False)
+        model.armature = np.array([rotor])
+        scenes.append(Scene(system=pinred.System(model, name), pose0=[0.3], xi0=[rate]))
+    capture = pinred.capture(*scenes, at="a", onto="b")
+    total = sizes + rotors
+    assert capture.instant.xi[0] == pytest.approx(total @ rates / total.sum(), rel=1e-14)
+    assert pinred.Reduction(capture.system).split([]).mass_matrix == pytest.approx(total.sum())
+
+
 ARM = """<robot name="ARM"><link name="bus"><inertial><origin xyz=".1 0 0"/><mass value="9"/>
 <inertia ixx="2" iyy="3" izz="4" ixy=".1" ixz="0" iyz="0"/></inertial></link>
 <joint name="elbow" type="revolute"><parent link="bus"/><child link="hand"/>

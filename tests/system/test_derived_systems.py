@@ -114,6 +114,17 @@ def test_rebuilt_model_keeps_the_links_above_frames() -> None:
     assert [*take_apart(pinred.load(model, gravity=REST)).links] == ["bus", "mast", "arm"]
 
 
+def test_body_stays_whole_if_the_link_below_a_joint_is_unknown() -> None:
+    """Without the frame of a joint, nothing says which of two fixed links carries it."""
+    model = pinred.Model().body("bus", mass=1.0, inertia=1.0)
+    model = model.fixed("mast", parent="bus", at=[0, 0, 1], mass=0.5, inertia=0.1)
+    model = model.hinge("arm", parent="mast", axis="y", mass=1.0, inertia=1.0)
+    system = pinred.load(model, gravity=REST)
+    joint = system.model.getFrameId("arm", pin.FrameType.JOINT)
+    bare = rebuild(system.model, without_frames={joint})
+    assert [*take_apart(System(bare, contents=system.contents)).links] == ["bus", "arm"]
+
+
 def test_links_whose_inertias_do_not_add_up_stay_together() -> None:
     """A body that is not the sum of its links cannot be cut between them."""
     model = pinred.Model().body("bus", mass=1.0, inertia=1.0)
