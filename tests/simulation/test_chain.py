@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -232,22 +233,59 @@ def test_comparison_finds_a_wrong_impact(kind: str, name: str) -> None:
         assert max(report.values.values()) < 10.0 * report.bound or name != "energy_lost"
 
 
+def failed(impact: Any) -> set[str]:
+    """Return the first words of the checks of an impact that fail."""
+    checks = judge_impact(impact).checks.items()
+    return {name.removesuffix(" [relative]") for name, (value, most) in checks if value > most}
+
+
+def heavier(model: pin.Model, joint: int) -> pin.Model:
+    """Return a copy of a model with a slightly heavier body."""
+    copy, body = model.copy(), model.inertias[joint]
+    copy.inertias[joint] = pin.Inertia(body.mass * (1.0 + 1e-8), body.lever, body.inertia)
+    return copy
+
+
 def test_comparison_finds_a_wrong_joined_robot() -> None:
-    """A body that is 1e-9 heavier, or a joint 1e-9 m away, fails by the energy or by velocities."""
+    """A heavier body, a joint that is elsewhere, or a rotor fail by their own checks."""
     pair = make_pair("trees", 300)
     capture = pinred.capture(pair.a, pair.b, at="tip", onto="tip")
-    model = capture.system.model.copy()
-    model.inertias[1] = pin.Inertia(
-        model.inertias[1].mass * (1.0 + 1e-8), model.inertias[1].lever, model.inertias[1].inertia
-    )
-    other = pinred.System(model, "other")
-    assert judge_impact(replace(capture, system=other)).verdict is Verdict.FAILED
-    model = capture.system.model.copy()
-    last = model.njoints - 1
-    model.jointPlacements[last] = model.jointPlacements[last] * pin.SE3(
-        np.eye(3), 1e-8 * np.ones(3)
-    )
-    assert judge_impact(replace(capture, system=pinred.System(model))).verdict is Verdict.FAILED
+    model = capture.system.model
+    other = pinred.System(heavier(model, 1), "other")
+    assert failed(replace(capture, system=other)) == {"momentum across it", "energy after"}
+    moved, last = model.copy(), model.njoints - 1
+    shift = pin.SE3(np.eye(3), 1e-8 * np.ones(3))
+    moved.jointPlacements[last] = moved.jointPlacements[last] * shift
+    assert "velocities after" in failed(replace(capture, system=pinred.System(moved)))
+    rotor = model.copy()
+    rotor.armature = np.array(rotor.armature) + 1e-8 * (np.arange(rotor.nv) == rotor.nv - 1)
+    assert failed(replace(capture, system=pinred.System(rotor))) == {"energy after"}
+
+
+def test_comparison_finds_a_wrong_stance() -> None:
+    """A stance that turns otherwise, or is heavier, fails by its own checks."""
+    landing = pinred.land(make_pair("trees", 300).a, "tip")
+    stance = landing.stance
+    assert stance is not None
+    assert failed(landing) == set()
+    state = replace(stance.instant, xi=stance.instant.xi * (1.0 + 1e-8))
+    assert "velocities in stance" in failed(replace(landing, stance=replace(stance, instant=state)))
+    system = pinred.System(heavier(stance.system.model, 1), "heavier")
+    assert failed(replace(landing, stance=replace(stance, system=system))) == {"energy in stance"}
+
+
+def test_recipe_that_names_a_file_elsewhere_is_refused(chain: Chain, tmp_path: Path) -> None:
+    """A recording loads no file from another folder, also as part of a robot."""
+    (tmp_path / "here").mkdir()
+    source = pinred.Model("rock").body("rock", mass=1.0, inertia=1.0).save(tmp_path / "rock.urdf")
+    robot = {"robot": "rock", "group": "SE3", "source": str(source)}
+    recipe = {"function": "reroot", "arguments": {"link": "rock"}, "systems": [robot]}
+    chain.save(tmp_path / "here/chain.npz")
+    arrays = dict(np.load(tmp_path / "here/chain.npz"))
+    arrays["derivation"] = np.array(json.dumps(recipe))
+    np.savez(tmp_path / "here/chain.npz", **arrays)
+    with pytest.raises(LoadError, match="in another folder"):
+        _ = pinred.read_recording(tmp_path / "here/chain.npz").system
 
 
 def rejected_chains(motions: dict[str, Any]) -> dict[str, tuple[Callable[[], object], str]]:
