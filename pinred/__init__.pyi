@@ -90,6 +90,8 @@ from .integrators.methods import Radau as Radau
 from .integrators.methods import Tsit5 as Tsit5
 from .integrators.methods import Variational as Variational
 from .judge.compare import compare as compare
+from .judge.compare_chain import ChainReport as ChainReport
+from .judge.compare_chain import ImpactReport as ImpactReport
 from .judge.verdict import Report as Report
 from .kernels.casadi_functions import casadi_functions as casadi_functions
 from .planning.gait_file import GaitFile as GaitFile
@@ -110,6 +112,15 @@ from .scene.toml.keys import scene_schema as scene_schema
 from .scene.toml.reader import load_scene as load_scene
 from .simulation.balances import EnergyBalance as EnergyBalance
 from .simulation.balances import MomentumBalance as MomentumBalance
+from .simulation.contact.capture import Capture as Capture
+from .simulation.contact.capture import Release as Release
+from .simulation.contact.capture import capture as capture
+from .simulation.contact.capture import release as release
+from .simulation.contact.chain import Chain as Chain
+from .simulation.contact.chain import chain as chain
+from .simulation.contact.landing import Landing as Landing
+from .simulation.contact.landing import Stance as Stance
+from .simulation.contact.landing import land as land
 from .simulation.events import Crossings as Crossings
 from .simulation.flow_map.flow import Flow as Flow
 from .simulation.flow_map.flow import flow as flow

@@ -35,7 +35,7 @@ def test_readme_examples_run(code: str, capsys: pytest.CaptureFixture[str]) -> N
 @pytest.mark.parametrize(
     "name",
     [
-        *("theory.md", "published.md", "equilibria.md", "forces.md", "flow.md"),
+        *("theory.md", "published.md", "equilibria.md", "forces.md", "flow.md", "capture.md"),
         *("adapters/casadi.md", "adapters/jax.md", "adapters/pytorch.md", "adapters/scipy.md"),
     ],
 )

@@ -52,7 +52,7 @@ def run_tutorial(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Ou
 
     def run(start: str) -> Output:
         (path,) = (path for path in PATHS if path.name.startswith(start))
-        if start == "04" and not has_example_robots():
+        if start in ("04", "20") and not has_example_robots():
             pytest.skip("example-robot-data is not installed")
         if start not in outputs:
             folder, before = tmp_path_factory.mktemp("student"), Path.cwd()
@@ -506,3 +506,50 @@ def test_tutorial_parallel_legs_prints_reference_values(
     assert missed < 10.0 * lag < 3.0
     assert output.numbers("largest error of .*: N rad/s")[0] < 1e-12
     assert output.text.count("verdict: PASSED") == 1
+
+
+def test_tutorial_catching_a_satellite_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """Momentum and energy of the tumbling body; Carnot's loss; all momentum ends in the wheels."""
+    output = run_tutorial("19")
+    twist = np.array([0.02, -0.01, 0.03, 0.15, 0.30, -0.20])
+    sizes = np.array([25.0, 25.0, 25.0, 2.0, 3.0, 4.0])
+    momentum = sizes * twist  # of the free body; its attitude is the identity at the start
+    before, lost = output.names["capture"].momentum_before, output.names["capture"].energy_lost
+    np.testing.assert_allclose(before, momentum, atol=1e-9)
+    energy = 0.5 * float(sizes @ twist**2)
+    (shown, after) = output.numbers(r"energy before N J, after N J")
+    assert shown == pytest.approx(energy, abs=1e-4)
+    assert after == pytest.approx(energy - lost, abs=1e-4)
+    (entries,) = re.findall(
+        r"angular momentum: \[(.*?)\] N m s, in the wheels: \[(.*?)\]", output.text
+    )
+    total, wheels = (np.array(text.split(), float) for text in entries)
+    np.testing.assert_allclose(wheels, total, atol=5e-4)
+    # Angular momentum about the centre of mass: that about the origin less c × p, in any axes.
+    end = output.names["end"]
+    model = output.names["capture"].system.model
+    com = pin.centerOfMass(model, model.createData(), end.q)
+    spin = momentum[3:] - np.cross(com, momentum[:3])
+    assert np.linalg.norm(total) == pytest.approx(np.linalg.norm(spin), abs=1e-6)
+
+
+def test_tutorial_drop_and_landing_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """The fall is ½gt²; the energy lost is ½ λ·(J H⁻¹ Jᵀ) λ; the second foot meets the ground."""
+    output = run_tutorial("20")
+    (time,) = output.numbers(r"meets the ground at t = N s")
+    assert output.numbers(r"fell N m, by hand N m") == pytest.approx(
+        [0.5 * 9.81 * time**2] * 2, abs=1e-5
+    )
+    names = output.names
+    J, H, impulse = names["J"], names["H"], names["impulse"]
+    lost = 0.5 * impulse @ J @ np.linalg.solve(H, J.T) @ impulse
+    assert names["landing"].energy_lost == pytest.approx(lost, rel=1e-9)
+    stance, model = names["stance"], names["robot"].model
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, stance.q[-1])
+    foot = data.oMf[model.getFrameId(str(stance.ended_by), pin.FrameType.BODY)]
+    assert foot.translation[2] == pytest.approx(0.0, abs=1e-9)

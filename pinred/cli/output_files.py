@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from ..judge.compare_chain import ChainReport
     from ..judge.verdict import Report
     from ..planning.optimisation.best_gait import BestGait
     from ..planning.reorientation.turn_plan import TurnPlan
@@ -57,7 +58,7 @@ def write_series(path: Path, names: Sequence[str], arrays: Mapping[str, Any]) ->
     write_table(path, names, (dict(zip(names, row, strict=True)) for row in rows))
 
 
-def print_report(report: Report) -> int:
+def print_report(report: Report | ChainReport) -> int:
     """Print a comparison with full ABA; return the exit code of its verdict."""
     from ..judge.verdict import EXIT_CODES
 

@@ -8,17 +8,19 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import InputError
 from ..common.parameter import Parameter, parameter_of, value_in
+from ..reduction.symbolic_placements import height
 from ..system.system import System
 from .columns import seen_of_base, symbols_of, terms_of
 from .force import SymbolFunction, Symbols, Terms, called, scalar
 from .signals.expressions import parse
 from .switch_times import SignChanges
 
-NAMES = ("t", "x", "xdot", "mu", "pose", "xi", "J")
+NAMES = ("t", "x", "xdot", "mu", "pose", "xi", "J", "height")
 
 
 @dataclass(frozen=True)
@@ -31,10 +33,12 @@ class Formula(SymbolFunction):
     Attributes:
         text: The formula, see signals/expressions.py.
         others: Further names that the formula may use, {name: SX}.
+        system: Robot of whose links the formula may use the height; None for no heights.
     """
 
     text: str
     others: Mapping[str, Any] = field(default_factory=dict)
+    system: System | None = None
 
     def __call__(self, s: Symbols) -> ca.SX:
         """Return the CasADi expression of the formula in the variables of forces.
@@ -44,7 +48,8 @@ class Formula(SymbolFunction):
         Returns:
             The expression.
         """
-        return parse(self.text, formula_names(s) | dict(self.others))
+        heights = {} if self.system is None else {"height": _Heights(self.system, s)}
+        return parse(self.text, formula_names(s) | dict(self.others) | heights)
 
 
 def formula_names(s: Symbols) -> dict[str, Any]:
@@ -74,16 +79,30 @@ class _Components(dict[str, ca.SX]):
         return entry
 
 
+class _Heights(dict[str, ca.SX]):
+    """Heights of links and frames by name, computed when a formula asks for them."""
+
+    def __init__(self, system: System, s: Symbols) -> None:
+        model = system.sorted_model
+        self._system, self._seen = system, s.seen
+        frames = [f for f in model.frames if f.parentJoint > 0 and f.type != pin.FrameType.JOINT]
+        super().__init__((str(f.name), ca.SX(0.0)) for f in frames)
+
+    def __getitem__(self, name: str) -> ca.SX:
+        seen = self._seen
+        return height(self._system, ca.SX(seen.pose), ca.SX(seen.x)[: self._system.nx], name)
+
+
 class _Expression:
     """An expression wrapped as a force, so that `terms_of` reports its errors."""
 
-    def __init__(self, expression: Callable[..., Any] | str, label: str) -> None:
-        self._expression, self.label = expression, label
+    def __init__(self, system: System, expression: Callable[..., Any] | str, label: str) -> None:
+        self._system, self._expression, self.label = system, expression, label
 
     def terms(self, s: Any, number: Any) -> Terms:  # noqa: ARG002
-        function = (
-            Formula(self._expression) if isinstance(self._expression, str) else self._expression
-        )
+        function = self._expression
+        if isinstance(function, str):
+            function = Formula(function, system=self._system)
         return Terms(potential=scalar(called(function, s, self.label), self.label))
 
 
@@ -112,7 +131,7 @@ class Watched:
         s, base = symbols_of(system, None)
         values = []
         for expression, label in zip(expressions, labels, strict=True):
-            terms = terms_of(_Expression(expression, label), s, float)  # type: ignore[arg-type]
+            terms = terms_of(_Expression(system, expression, label), s, float)  # type: ignore[arg-type]
             values.append(ca.SX(terms.potential))
         column = ca.vertcat(ca.SX(0, 1), *values)
         arguments = [s.t, s.x, s.xdot, s.xi, s.mu, *base]

@@ -15,15 +15,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
-import pinocchio as pin
 
-from ..common.errors import InputError
-from ..common.names import listed, nearest, quoted
 from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..reduction.tree.articulated_body import moved_twist
 from ..reduction.tree.articulated_sweep import step_of
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.scalars import Rotation, Scalar, Turn, Vec, add, cross, dot, mul, plus
+from ..system.assembly import link_frame
 from ..system.force_interface import Load, Symbols
 from ..system.system import System
 from .force_numbers import RobotSymbols
@@ -40,34 +38,6 @@ class OnCoordinates:
 
     torque: ca.SX
     wrench: ca.SX
-
-
-def link_frame(system: System, name: str, what: str) -> int:
-    """Return the index of a link's frame in the model.
-
-    Args:
-        system: The robot.
-        name: Name of the link.
-        what: Name of the force in messages.
-    Returns:
-        The index.
-    Raises:
-        InputError: No link, or more than one, has this name.
-    """
-    model = system.sorted_model
-    moving = [k for k, f in enumerate(model.frames) if f.parentJoint > 0]
-    bodies = [k for k in moving if model.frames[k].type == pin.FrameType.BODY]
-    for candidates in (bodies, moving):
-        matches = [k for k in candidates if model.frames[k].name == name]
-        if len(matches) == 1:
-            return int(matches[0])
-        if matches:
-            raise InputError(f"{what}: '{system.name}' has {len(matches)} links {quoted(name)}")
-    names = [str(model.frames[k].name) for k in bodies or moving]
-    raise InputError(
-        f"{what}: '{system.name}' has no link {quoted(str(name))}; {nearest(str(name), names)}"
-        f"the links are {listed(names, 60) or 'none'}"
-    )
 
 
 def of_load(

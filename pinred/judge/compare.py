@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +30,11 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, positive
 from ..common.errors import InputError
 from ..common.progress import Progress, shown
+from ..simulation.contact.chain import Chain
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import State
 from .audit import audit_trajectory, audit_with_reference, measurement_error
+from .compare_chain import ChainReport, judge_impacts
 from .distances import Distance, FullMotion, Size
 from .equation_errors import equation_errors
 from .loop_errors import loop_errors
@@ -88,28 +91,51 @@ _SAFETY = 10.0  # margin, because growth and defects are only sampled
 _ROUND_OFF = 1e-15  # relative round-off of one step
 
 
-@checks_arguments
+@overload
 def compare(
     traj: Trajectory, *, progress: Progress | bool | None = None, budget: float | None = None
-) -> Report:
+) -> Report: ...
+@overload
+def compare(
+    traj: Chain, *, progress: Progress | bool | None = None, budget: float | None = None
+) -> ChainReport: ...
+@checks_arguments
+def compare(
+    traj: Trajectory | Chain,
+    *,
+    progress: Progress | bool | None = None,
+    budget: float | None = None,
+) -> Report | ChainReport:
     """Compare a trajectory with the full simulation of its scene, which uses Pinocchio's ABA.
 
     Args:
-        traj: Trajectory returned by `simulate`.
+        traj: Trajectory returned by `simulate`, or a Chain. Each motion of a chain is compared,
+            and each impact with that of the full mass matrices.
         progress: True for a progress bar, or a function that is called with the completed
             fraction of the work, 0 to 1.
         budget: Processor time after which ABA stops [s]; by default 30 s, or 500 times the wall
-            time of the simulation if that is longer.
+            time of the simulation if that is longer. It holds for each motion of a chain.
     Returns:
         The report. It is true if the comparison passed: `assert pinred.compare(traj)`. The
         verdict is CANNOT TELL if ABA does not reach the end of the motion.
     Raises:
         InputError: `traj` is not a Trajectory, or the budget is not positive.
     """
+    if isinstance(traj, Chain):
+        motions = [motion for phase in traj.phases for motion in phase.motions]
+        reports = [_compare_motion(motion, progress, budget) for motion in motions]
+        return ChainReport(tuple(reports), judge_impacts(traj))
     if not isinstance(traj, Trajectory):
         raise InputError(
             f"compare takes a Trajectory, got {type(traj).__name__}; simulate returns one"
         )
+    return _compare_motion(traj, progress, budget)
+
+
+def _compare_motion(
+    traj: Trajectory, progress: Progress | bool | None, budget: float | None
+) -> Report:
+    """Compare one trajectory; the arguments are those of `compare`."""
     seconds = default_budget(traj.run.wall) if budget is None else positive(budget, "budget")
     what = f"compares the motion of '{traj.system.name}' with ABA"
     with shown(progress, "full", what=what, reports=True) as report_progress:

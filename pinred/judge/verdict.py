@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -179,11 +180,7 @@ class Report(FrozenArrays):
             f"reduced equations against Pinocchio's ABA on the full state\n"
             + (f"{self.left_out}\n" if self.left_out else "")
         )
-        rows = [
-            f"  {name:<31} {value:10.2e}   allowed {bound:8.1e}   "
-            f"{'ok' if value <= bound else 'FAILED'}"
-            for name, (value, bound) in self.checks.items()
-        ]
+        rows = table_of(self.checks)
         rows += [f"  {'growth of perturbations':<31} {self.growth[-1]:10.2e}"]
         if self.rate_error:
             rows += [f"  {'rate error [relative]':<31} {self.rate_error:10.2e}"]
@@ -219,6 +216,15 @@ class Report(FrozenArrays):
             *(line(reason) for reason in self.reasons),
             line("verdict:", verdict(self.passed, str(Verdict.PASSED), str(self.verdict))),
         )
+
+
+def table_of(checks: Mapping[str, tuple[float, float]]) -> list[str]:
+    """Return a line of text for each check, {name: (value, bound)}."""
+    return [
+        f"  {name:<31} {value:10.2e}   allowed {bound:8.1e}   "
+        f"{'ok' if value <= bound else 'FAILED'}"
+        for name, (value, bound) in checks.items()
+    ]
 
 
 def _closest(errors: Array, bounds: Array) -> tuple[float, float]:

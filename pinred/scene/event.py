@@ -45,7 +45,8 @@ class Event:
     Attributes:
         expression: A function of (t, x, xdot, mu), or of one SeenState (see pinred.forces); pinred
             calls the function once, with CasADi symbols.  Alternatively, a formula as text in t, x,
-            xdot, mu, and pose, xi, J of the base, such as "x['hinge'] - 0.5".
+            xdot, mu, and pose, xi, J of the base, such as "x['hinge'] - 0.5".  In formulas,
+            height['foot'] is the height of a link or frame [m], against gravity.
         name: Name of the event in the results.
         terminal: Whether the motion ends at the event.
         direction: 1 for rising crossings, −1 for falling ones, 0 for both.

@@ -7,6 +7,7 @@ are checked before their contents are read, because a few bytes can state gigaby
 
 from __future__ import annotations
 
+import json
 import os
 import struct
 import zipfile
@@ -38,7 +39,8 @@ if TYPE_CHECKING:
 
 ORIGIN = (
     "source", "lock_joints", "lock_sizes", "lock_values", "gravity", "root",
-    "parameter_names", "parameter_sizes", "parameter_values",
+    "parameter_names", "parameter_sizes", "parameter_values", "balls",
+    "derivation",
 )  # fmt: skip
 # Largest accepted difference between q and the configuration of pose and shape [rad | m].
 _TOLERANCE = 1e-6
@@ -208,26 +210,63 @@ def load_recorded_robot(
     from ..system.load import load
     from ..system.model_parameters import with_parameters
 
-    source = str(origin.get("source", ""))
-    if not source:
+    source, text = str(origin.get("source", "")), origin.get("text")
+    if "derivation" in origin and not source:
+        return _derived_robot(path, str(origin["derivation"]), confirmed=confirmed)
+    if not source and text is None:
         raise LoadError(
             f"{path} does not say where its robot '{robot}' comes from; name it "
             "(--robot, or robot=)"
         )
-    if not confirmed:
+    if not confirmed and source:
         source = _find_trusted_source(path, source)
     try:
         root = str(origin["root"]) if "root" in origin else None
         parameters = parameters_in(origin)
         system = load(
-            source, group=group, lock=lock_in(origin), gravity=origin.get("gravity"), root=root
-        )
+            source or None, text=None if source else str(text), group=group, lock=lock_in(origin),
+            gravity=origin.get("gravity"), root=root,
+            balls=False if confirmed or "balls" not in origin
+            else [str(name) for name in np.atleast_1d(origin["balls"])],
+        )  # fmt: skip
         for name in parameters:
             refuse_vague(system, name)
         return with_parameters(system, parameters)
     except (PinredError, ValueError, TypeError) as error:
         raise LoadError(
             f"the robot of {path} cannot be loaded: {error}; name another (--robot, or robot=)"
+        ) from None
+
+
+def _derived_robot(path: Path, text: str, *, confirmed: bool) -> System:
+    """Make a robot again from others, as a recording states.
+
+    Args:
+        path: Path of the recording.
+        text: The function, its arguments and the other robots, as JSON.
+        confirmed: Whether the user trusts the sources.
+    Returns:
+        The system.
+    Raises:
+        LoadError: The text is damaged, or a robot cannot be loaded.
+    """
+    from ..system.derived_systems import FUNCTIONS
+
+    try:
+        recipe = json.loads(text)
+        make, arguments = FUNCTIONS[recipe["function"]], dict(recipe["arguments"])
+        systems = [
+            load_recorded_robot(
+                path, str(entry["robot"]), str(entry["group"]), entry, confirmed=confirmed
+            )
+            for entry in recipe["systems"]
+        ]
+        return make(*systems, **arguments)
+    except LoadError:
+        raise
+    except (PinredError, RecursionError, *_READ_ERRORS) as error:
+        raise LoadError(
+            f"{quoted_path(path)} does not state how its robot is made of others: {error}"
         ) from None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
@@ -24,6 +25,7 @@ from ..system.body_parameters import name_in_files
 from ..system.entry_labels import column_names, field_attributes
 from ..system.locked_joints import LockValue
 from ..system.model_parameters import GRAVITY
+from ..system.robot_file_contents import Origin
 from ..system.state_fields import FIELDS, arrays_of, axis_labels, dimension
 from ..system.system import System
 from ..system.variants import nominal
@@ -37,8 +39,8 @@ def save(traj: OverTime, path: str | Path) -> None:
 
     .npz contains one array for each field of State, with time as first axis, and `robot`, `group`
     and `joints`.  The arrays `source`, `lock_joints`, `lock_sizes`, `lock_values`, `gravity`,
-    `root` and `parameter_names`, `parameter_sizes`, `parameter_values` state how load() finds the
-    robot.
+    `root`, `balls` and `parameter_names`, `parameter_sizes`, `parameter_values` state how load()
+    finds the robot; `derivation` is a JSON text that states how it was joined or cut.
     .csv has a row for each time and columns such as `pose.x`, `x.hinge`, `xi.vx` and `energy`.
     .h5 (HDF5, written by h5py) has the arrays of .zarr with names of dimensions, labels, units and
     long names, as xarray and netCDF readers understand them.
@@ -96,6 +98,7 @@ def robot_arrays(system: System) -> dict[str, Any]:
         elif name in GRAVITY:
             del parameters[name]
     root = {} if origin is None or origin.root is None else {"root": np.array(origin.root)}
+    merged = [triple.name for triple in system.contents.merged]
     return {
         "robot": np.array(system.name),
         "group": np.array(system.group.name),
@@ -105,8 +108,25 @@ def robot_arrays(system: System) -> dict[str, Any]:
         **_lock_arrays(lock),
         "gravity": system.gravity,
         **root,
+        **({"balls": np.array(merged, dtype=str)} if merged else {}),
         **_parameter_arrays(parameters),
+        **_derivation_array(origin),
     }
+
+
+def _derivation_array(origin: Origin | None) -> dict[str, Any]:
+    """Return how a system was made from others, as an array with one JSON text."""
+    if origin is None or origin.derivation is None:
+        return {}
+    made = origin.derivation
+    systems = []
+    for system in made.systems:
+        entries = {name: value.tolist() for name, value in robot_arrays(system).items()}
+        if system.origin is not None and system.origin.text is not None:
+            entries["text"] = system.origin.text
+        systems.append(entries)
+    recipe = {"function": made.function, "arguments": dict(made.arguments), "systems": systems}
+    return {"derivation": np.array(json.dumps(recipe, ensure_ascii=False))}
 
 
 def _lock_arrays(lock: Mapping[str, LockValue]) -> dict[str, Any]:

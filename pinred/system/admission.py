@@ -72,12 +72,15 @@ def check_joints(model: pin.Model) -> None:
         _admit_shape_joint(model, i)
 
 
-def admit(model: pin.Model, coupled: Coupled | None = None) -> Admission:
+def admit(
+    model: pin.Model, coupled: Coupled | None = None, doubts: tuple[str, ...] | None = None
+) -> Admission:
     """Check that a model can be reduced; return its symmetry group and warnings.
 
     Args:
         model: Model whose joints `check_joints` accepts.
         coupled: Dependence of follower joints on independent joints; None without followers.
+        doubts: Warnings, if they are known; the inertias are then not examined.
     Returns:
         Symmetry group and warnings.
     Raises:
@@ -88,7 +91,7 @@ def admit(model: pin.Model, coupled: Coupled | None = None) -> Admission:
     for i in range(1, model.njoints):
         _admit_geometry(model, i)
     _admit_numbers(model, group)
-    return Admission(group, _check_inertias(model, coupled))
+    return Admission(group, _check_inertias(model, coupled) if doubts is None else doubts)
 
 
 def _root_group(model: pin.Model) -> Group:

@@ -170,12 +170,16 @@ def rebuild(
             carrier, copied[i] = _Carrier(k, pin.SE3.Identity()), k
         model.appendBodyToJoint(carrier.joint, raw.inertias[i], carrier.placement)
         carriers[i] = carrier
+    numbers = {0: 0}  # {frame of the old model: frame of the new model}
     for number, frame in enumerate(raw.frames):
+        above = numbers.get(int(frame.parentFrame), 0)
         if number == 0 or number in without_frames:
+            numbers[number] = above
             continue
         on = carriers[frame.parentJoint]
-        model.addFrame(
-            pin.Frame(frame.name, on.joint, 0, on.placement * frame.placement, frame.type), False
+        at = on.placement * frame.placement
+        numbers[number] = model.addFrame(
+            pin.Frame(frame.name, on.joint, above, at, frame.type), False
         )
     model = builder.finish()
     for i, k in copied.items():

@@ -21,6 +21,24 @@ from .visuals import Visuals
 LimitKind: TypeAlias = Literal["position", "rate", "effort"]
 
 
+@dataclass(frozen=True, eq=False)
+class Derivation:
+    """How a system was made from others; see `derived_systems`.
+
+    Attributes:
+        function: Name of the function.
+        systems: The other systems.
+        arguments: Texts and numbers that the function takes, by name.
+        doubts: Warnings about inertias, if they follow from those about the other systems; None
+            if the model must be searched for them.
+    """
+
+    function: str
+    systems: tuple[Any, ...]  # of System, which has an Origin and so imports this module
+    arguments: Mapping[str, Any]
+    doubts: tuple[str, ...] | None = None
+
+
 @dataclass(frozen=True)
 class Origin:
     """The file or name from which a system was loaded.
@@ -32,6 +50,7 @@ class Origin:
         meshes: Additional folders in which meshes are searched; the folders above the file are
             always searched.
         text: Content of the file, if the robot was loaded from a text.
+        derivation: How the system was made from others, if it was; `source` is "".
     """
 
     source: str
@@ -39,6 +58,7 @@ class Origin:
     root: str | None = None
     meshes: tuple[str, ...] = ()
     text: str | None = None
+    derivation: Derivation | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -95,7 +95,9 @@ class System(FromFile):
         check_joints(model)
         tree = tree_space(model)
         couplings = coupled(tree, self.couplings, model.names[1])
-        admission = admit(model, couplings)
+        derivation = None if self.origin is None else self.origin.derivation
+        known = None if derivation is None else derivation.doubts
+        admission = admit(model, couplings, known)
         vars(self).update(
             sorted_model=model,
             group=admission.group,

@@ -10,8 +10,8 @@ from ..analysis.connections.connection import Connection
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError
 from ..common.signatures import shows_fields
-from ..simulation.trajectory import Trajectory
 from ..system.system import System
+from .motion_source import MotionSource
 from .playback.view_options import FILM_FPS, View, ViewOptions, as_view
 from .playback.viewers import VIEWER
 from .plots.by_kind import plot as plot
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @checks_arguments
 @shows_fields(View)
 def play(
-    traj: Trajectory,
+    traj: MotionSource,
     *,
     viewer: str = VIEWER,
     port: int | None = None,
@@ -66,7 +66,7 @@ def play(
 @checks_arguments
 @shows_fields(View)
 def save_html(
-    traj: Trajectory | System | Connection,
+    traj: MotionSource | System | Connection,
     path: str | Path,
     *,
     feel: bool = False,
@@ -141,7 +141,7 @@ def feel(
     return serve(feel_page(source, **options), "page at", port=port, show=show, wait=wait)
 
 
-def _as_source(value: Trajectory | System | Connection) -> System | Connection:
+def _as_source(value: MotionSource | System | Connection) -> System | Connection:
     if isinstance(value, System | Connection):
         return value
     raise InputError(
@@ -163,7 +163,7 @@ def _feel_options(options: Mapping[str, Any]) -> dict[str, Any]:
 @checks_arguments
 @shows_fields(View, fps=FILM_FPS)
 def save_film(
-    traj: Trajectory,
+    traj: MotionSource,
     path: str | Path,
     *,
     size: tuple[int, int] = (960, 720),
@@ -198,7 +198,7 @@ def save_film(
 
 @checks_arguments
 @shows_fields(View)
-def save_rrd(traj: Trajectory, path: str | Path, **options: Unpack[ViewOptions]) -> int:
+def save_rrd(traj: MotionSource, path: str | Path, **options: Unpack[ViewOptions]) -> int:
     """Write a motion as a recording for the rerun viewer, which the extra rerun installs.
 
     The file contains the placements of all bodies with their shapes, and energy, momentum and

@@ -14,7 +14,7 @@ ROWS: dict[str, Row] = {
     row.name: row
     for row in (
         *(*dynamics.FREE, *dynamics.TOPS, *turns.CATS, *dynamics.PLANAR, *dynamics.PENDULUMS),
-        *(*locomotion.CHAINS, *locomotion.WHEELS, *turns.ARMS),
+        *(*locomotion.CHAINS, *locomotion.WHEELS, *turns.ARMS, *dynamics.CAPTURES),
     )
 }
 _NAME, _NUMBER = 22, 34  # widths of columns

@@ -17,10 +17,11 @@ from ...forces.columns import symbols_of
 from ...forces.force import Force, Limit
 from ...forces.force_model_cache import cached_force_model
 from ...forces.formula import NAMES, Formula
-from ...forces.link_wrenches import link_frame
 from ...forces.signals import Signal
 from ...forces.signals.expressions import FUNCTIONS, parse
 from ...integrators.methods import METHODS
+from ...system.assembly import link_frame
+from ...system.system import System
 from ..event import Event
 from ..input_formats import parse_control, parse_controls, parse_method
 from ..random_state import DURATION
@@ -216,16 +217,16 @@ class _Builder:
             return self._formula(value, place)
         return self.signals.value(value, place)
 
-    def _formula(self, text: str, place: Place) -> Formula:
+    def _formula(self, text: str, place: Place, system: System | None = None) -> Formula:
         """Parse a formula and evaluate it once, to detect errors.  Raises InputError."""
-        formula = Formula(text, self._parameter_symbols())
+        formula = Formula(text, self._parameter_symbols(), system)
         with naming(place):
             formula(self.symbols)
         return formula
 
     def _event(self, entry: dict[str, Any], place: Place) -> Event:
         options = dict(entry)
-        expression = self._formula(options.pop("function"), place / "function")
+        expression = self._formula(options.pop("function"), place / "function", self.system)
         with naming(place):
             return Event(expression, **options)
 

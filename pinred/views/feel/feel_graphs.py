@@ -15,11 +15,11 @@ import numpy as np
 from ...analysis.connections.connection import Connection
 from ...common.arrays import Array
 from ...kernels.connection.connection_form import momentum_velocity_graph, velocity_graph
+from ...reduction.symbolic_placements import Placement, all_joint_values, joint_frames, rotate
 from ...reduction.tree.momenta import bracket
 from ...system.joints import axes_of
 from ...system.system import System
 from .loop_graph import loop_graph
-from .placements import Placement, all_joint_values, joint_frames, rotate
 
 
 @dataclass(frozen=True, eq=False)

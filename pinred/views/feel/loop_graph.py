@@ -13,12 +13,12 @@ import numpy as np
 import pinocchio as pin
 
 from ...common.arrays import Array
+from ...reduction.symbolic_placements import Placement, compose, fixed_placement, inverse, rotate
 from ...system.loops.joint_laws import JointLaw
 from ...system.loops.kinematics import loop_ends, rotation_axes
 from ...system.loops.loop import JointPolynomial, Loop
 from ...system.loops.looped_system import loop_kinematics
 from ...system.system import System
-from .placements import Placement, compose, fixed_placement, inverse, rotate
 
 
 def loop_graph(

@@ -13,12 +13,13 @@ import pinocchio as pin
 
 from ...common.arrays import Array
 from ...common.errors import LoadError, PinredError
+from ...system.assembly import take_apart
 from ...system.catalogue import bundled_robots, example_robot
 from ...system.mesh_files import Mesh
 from ...system.mjcf.compile import compiled
 from ...system.mjcf.mujoco_joints import frame
 from ...system.mjcf.world import World, robot_in
-from ...system.robot_file_contents import Origin
+from ...system.robot_file_contents import Derivation, Origin
 from ...system.robot_files import is_mjcf, read_text, text_in_file
 from ...system.system import System
 from ...system.urdf_shapes import FARTHEST, Shapes, read_shapes
@@ -61,6 +62,7 @@ class Solid:
             length; ellipsoid: three semi-axes [m]; mesh: index of a Mesh.
         placement: Position [m] and quaternion in the joint's frame, (7,).
         colour: Red, green, blue, opacity.
+        link: Name of the link in the file, if it is known.
     """
 
     joint: int
@@ -68,6 +70,7 @@ class Solid:
     size: tuple[float, ...]
     placement: Array
     colour: Colour
+    link: str = ""
 
 
 @dataclass(frozen=True)
@@ -155,10 +158,40 @@ def _file_shapes(system: System, folders: Sequence[str]) -> Bodies:
         return _from_geometry(system, Shapes(system.contents.visuals, {}, ()))
     origin = system.origin
     assert origin is not None
+    if origin.derivation is not None:
+        return _shapes_of_parts(system, origin.derivation, folders)
     with _file(origin) as path:
         if is_mjcf(read_text(path)):
             return mjcf_shapes(system, path)
         return _from_geometry(system, read_shapes(path, [*folders, *origin.meshes]))
+
+
+def _shapes_of_parts(system: System, derivation: Derivation, folders: Sequence[str]) -> Bodies:
+    """Return the shapes of the systems from which a system was made, on its own joints."""
+    solids, meshes, notes = list[Solid](), list[Mesh](), list[str]()
+    drawn = set[int]()  # joints with shapes
+    new = take_apart(system)
+    prefixes = ("", derivation.arguments.get("prefix", ""))[: len(derivation.systems)]
+    for part, prefix in zip(derivation.systems, prefixes, strict=True):
+        bodies, old = drawn_bodies(part, meshes=folders or True), take_apart(part)
+        own = {joint: name for name, (joint, _) in reversed([*old.places.items()])}
+        if bodies.note:
+            notes.append(f"{part.name}: {bodies.note}")
+        for solid in bodies.solids:
+            link = solid.link if solid.link in old.places else own[solid.joint]
+            if prefix + link not in new.places or (bodies.note and not solid.link):
+                continue
+            joint, at = new.places[prefix + link]
+            on_link = old.places[link][1].actInv(pin.XYZQUATToSE3(solid.placement))
+            size = solid.size
+            if solid.kind == "mesh":
+                size = (size[0] + len(meshes),)
+            placement = np.array(pin.SE3ToXYZQUAT(at * on_link))
+            solids.append(Solid(joint, solid.kind, size, placement, solid.colour, link))
+            drawn.add(joint)
+        meshes += bodies.meshes
+    solids += [solid for solid in _from_inertias(system) if solid.joint not in drawn]
+    return Bodies(tuple(solids), tuple(meshes), "; ".join(notes))
 
 
 def _from_geometry(system: System, shapes: Shapes) -> Bodies:
@@ -188,7 +221,8 @@ def _from_geometry(system: System, shapes: Shapes) -> Bodies:
             skipped.append(joint)
             continue
         colour = tuple(float(c) for c in entry.meshColor)
-        solids.append(Solid(joint, solid_kind, size, place, colour))  # type: ignore[arg-type]
+        link = str(raw.frames[entry.parentFrame].name) if entry.parentFrame < raw.nframes else ""
+        solids.append(Solid(joint, solid_kind, size, place, colour, link))  # type: ignore[arg-type]
     # Bodies of which no shape can be drawn are ellipsoids.
     empty = {*skipped} - {solid.joint for solid in solids}
     if solids and empty:
@@ -343,7 +377,8 @@ def _solid(system: System, world: World, geom: int, meshes: dict[int, int]) -> S
         return None
     link = system.sorted_model.frames[system.model.getFrameId(body, pin.FrameType.BODY)]
     placement = link.placement * frame(model.geom_pos[geom], model.geom_quat[geom])
-    return Solid(link.parentJoint, name, size, np.array(pin.SE3ToXYZQUAT(placement)), colour)
+    place = np.array(pin.SE3ToXYZQUAT(placement))
+    return Solid(link.parentJoint, name, size, place, colour, body)
 
 
 def _colour(model: Any, geom: int) -> Colour:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import casadi as ca
+import numpy as np
 import pinocchio as pin
 
-from ...reduction.tree.all_joints import joint_values
-from ...system.joints import axes_of
-from ...system.system import System
+from ..common.arrays import Array
+from ..system.assembly import link_frame
+from ..system.joints import axes_of
+from ..system.system import System
+from .tree.all_joints import joint_values
 
 Placement: TypeAlias = tuple[ca.SX, ca.SX]
 
@@ -70,3 +73,39 @@ def rotate(q: ca.SX, v: ca.SX) -> ca.SX:
     """Rotate a vector by a quaternion."""
     across = 2.0 * ca.cross(q[:3], v)
     return v + q[3] * across + ca.cross(q[:3], across)
+
+
+def height(system: System, pose: ca.SX, x: ca.SX, link: str) -> ca.SX:
+    """Return the height of the origin of a link or frame above the world's origin [m].
+
+    Heights are against gravity; without gravity, along z of the world.
+
+    Args:
+        system: The system.
+        pose: Pose of the base, (size,).
+        x: Shape, (nx,).
+        link: Name of the link or frame.
+    """
+    model, group = system.sorted_model, system.group
+    frame = model.frames[link_frame(system, link, "height")]
+    S, k = axes_of(model.joints[1]), group.linear
+    entries = [ca.SX(entry) for entry in ca.vertsplit(pose)]
+    shift, turn = ca.SX.zeros(3), ca.SX([0, 0, 0, 1])
+    for axis in range(k):
+        shift += ca.SX(S[:3, axis]) * entries[axis]
+    if group.turns == 3:
+        turn = ca.vertcat(*entries[k:])
+    elif group.turns == 1:
+        turn = ca.vertcat(ca.SX(S[3:, k]) * ca.sin(entries[k] / 2), ca.cos(entries[k] / 2))
+    base = compose(fixed_placement(model.jointPlacements[1]), (shift, turn))
+    joints = joint_frames(system, all_joint_values(system, x))
+    on_joint = fixed_placement(frame.placement)
+    position, _ = compose(compose(base, joints[frame.parentJoint]), on_joint)
+    return ca.dot(ca.SX(up_of(system)), position)
+
+
+def up_of(system: System) -> Array:
+    """Return the unit vector against gravity in the world, (3,); z without gravity."""
+    gravity = system.gravity
+    size = float(np.linalg.norm(gravity))
+    return -gravity / size if size else np.array([0.0, 0.0, 1.0])

@@ -1,0 +1,103 @@
+"""The motion after a capture, release or landing: options, simulation, and the chain."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..common.errors import InputError
+from .command_options import add_options, option_adder, options_in
+from .motion_files import check_robot, motion_in
+from .output_files import describe_file, print_report
+
+if TYPE_CHECKING:
+    from ..scene.toml.schema import Key
+    from ..simulation.contact.capture import Capture, Release
+    from ..simulation.contact.landing import Landing
+    from ..simulation.trajectory import Trajectory
+    from ..system.system import System
+    from ..views.motion_source import MotionSource
+
+MOTION = "scene file (.toml), whose end counts, or motion traj.npz, whose last state counts"
+_AFTER = (
+    "duration", "prescribed", "hold", "springs", "passive", "friction", "rtol", "atol", "method",
+)  # fmt: skip
+
+
+def add_after(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the motion after the impact."""
+    add_options(sub, _keys())
+    add = option_adder(sub)
+    add("--compare", "compare all motions with full ABA, and the impact with full mass matrices")
+    add("--out FILE", "write the motions before and after it as one (.npz, .csv)")
+
+
+def _keys() -> dict[str, Key]:
+    from ..scene.scene_options import SCENE_OPTIONS
+
+    return {name: SCENE_OPTIONS[name] for name in _AFTER}
+
+
+def check_after(arguments: argparse.Namespace) -> None:
+    """Check the options before a long simulation.  Raises InputError."""
+    from ..common.files import DATA, check_path
+
+    options = options_in(arguments, _keys())
+    if arguments.out is not None:
+        check_path(Path(arguments.out), DATA)
+    if "duration" not in options and (options or arguments.compare or arguments.out is not None):
+        raise InputError("pass --duration T to simulate the motion after the impact")
+
+
+def motion_before(path: str) -> MotionSource:
+    """Return the motion in a scene file or recording."""
+    check_robot(path, None)
+    if Path(path).suffix not in (".toml", ".npz"):
+        raise InputError(f"expected a scene file (.toml) or a motion (.npz), got '{path}'")
+    return motion_in(path, None)
+
+
+def follow(
+    arguments: argparse.Namespace,
+    before: Sequence[MotionSource],
+    impact: Capture | Release | Landing,
+    states: Sequence[tuple[System, dict[str, Any]]],
+) -> int:
+    """Print an impact, and simulate, write and compare what follows.
+
+    Args:
+        arguments: Parsed arguments of the command.
+        before: Motions that end at the impact.
+        impact: The impact.
+        states: Systems after it, with the options that start them.
+    Returns:
+        0, or the exit code of the comparison.
+    Raises:
+        InputError: The motions before it are recordings, but one after it is requested.
+    """
+    from ..simulation.contact.chain import chain
+    from ..simulation.simulate import simulate
+    from ..simulation.trajectory import Trajectory
+
+    print(impact)
+    options = options_in(arguments, _keys())
+    if "duration" not in options:
+        return 0
+    earlier = [motion for motion in before if isinstance(motion, Trajectory)]
+    if len(earlier) < len(before):
+        raise InputError("a motion after the impact needs scene files (.toml), not recordings")
+    after: list[Trajectory] = [
+        simulate(system, **start, **options, progress=True) for system, start in states
+    ]
+    whole = chain(earlier, impact, after)
+    if arguments.out is not None:
+        path = Path(arguments.out)
+        whole.save(path)
+        print(describe_file(path))
+    if not arguments.compare:
+        return 0
+    from ..judge.compare import compare
+
+    return print_report(compare(whole, progress=True))

@@ -1,0 +1,398 @@
+"""capture() and release(): two systems become one by a plastic impact, and one becomes two.
+
+At a capture, two frames that coincide are fixed to each other.  The velocities of the joined robot
+are a subspace, v = J v⁺, of those of both.  The impulse of the new joint does no work on them, so
+the momentum is pulled back to this subspace:
+
+    p⁺ = Jᵀ H v⁻,   v⁺ = (Jᵀ H J)⁻¹ p⁺.
+
+The sum of the spatial momenta is kept exactly, and the energy ½ |v⁻ − J v⁺|²_H is lost (Carnot).
+A release is the inverse without impulse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+
+from ...common.argument_kinds import checks_arguments
+from ...common.arrays import Array, is_finite, positive
+from ...common.errors import InputError
+from ...common.names import quoted
+from ...reduction.inertia_split import mass_matrix_at
+from ...scene.repeated_scene import scene_of
+from ...scene.scene import Scene
+from ...system.assembly import renamed, reversed_balls, take_apart
+from ...system.derived_systems import (
+    Instant,
+    Moving,
+    Place,
+    carry_state,
+    cut,
+    free_prefix,
+    join,
+    place_of,
+    placements,
+    same_motions,
+)
+from ...system.joints import axes_of
+from ...system.system import System, checked_system
+from ..over_time import OverTime
+from ..trajectory import Trajectory
+
+MEETING = 1e-6  # default largest distance of the frames that a capture joins [m], [rad]
+
+
+@dataclass(frozen=True, eq=False)
+class _AfterImpact:
+    """A system with the state at which its motion goes on.
+
+    Attributes:
+        system: The system.
+        instant: Its state.
+    """
+
+    system: System
+    instant: Instant
+
+    @property
+    def start(self) -> dict[str, Array]:
+        """Options that start a simulation at this state: pose0, x0, xdot0 and xi0."""
+        state = self.instant
+        return {"pose0": state.pose, "x0": state.x, "xdot0": state.xdot, "xi0": state.xi}
+
+    @property
+    def scene(self) -> Scene:
+        """A scene that starts at this state."""
+        options: dict[str, Any] = {**self.start}
+        return Scene(system=self.system, **options)
+
+
+# A motion, whose last state counts, or a value that states a system with its state.
+Moment: TypeAlias = OverTime | Scene | System | _AfterImpact
+
+
+@checks_arguments
+@dataclass(frozen=True, eq=False)
+class Capture(_AfterImpact):
+    """Two systems at the moment of a capture, and the joined system after it.
+
+    Momenta are spatial momenta in the fixed frame of the first root joint, about its origin.
+
+    Attributes:
+        system: The joined system; its root is that of the first.
+        instant: Its state after the impact: pose, x, xdot and xi.
+        a: The first system.
+        b: The second system.
+        before_a: State of the first before the impact.
+        before_b: State of the second before the impact.
+        at: Frame of the first.
+        onto: Frame of the second.
+        prefix: Text before the names of the second in the joined system.
+        impulse: Impulse on the first at the origin of its frame, in the frame's axes, (6,):
+            force [N·s], moment [N·m·s].
+        energy_before: Kinetic energy of both before the impact [J].
+        energy_lost: Energy that the impact takes [J].
+        momentum_a: Momentum of the first before the impact, (r,) [N·s; N·m·s].
+        momentum_b: Momentum of the second before the impact, (r,).
+        momentum: Momentum of the joined system after the impact, (r,).
+    """
+
+    a: System
+    b: System
+    before_a: Instant
+    before_b: Instant
+    at: str
+    onto: str
+    prefix: str
+    impulse: Array
+    energy_before: float
+    energy_lost: float
+    momentum_a: Array
+    momentum_b: Array
+    momentum: Array
+
+    @property
+    def momentum_before(self) -> Array:
+        """Sum of the momenta of both before the impact, (r,) [N·s; N·m·s]."""
+        return np.asarray(self.momentum_a + self.momentum_b)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Capture of {self.b.name!r} by {self.a.name!r}: {self.onto} fixed to {self.at}, "
+            f"{self.energy_lost:.6g} of {self.energy_before:.6g} J lost>"
+        )
+
+    def __str__(self) -> str:
+        names = ", ".join(self.system.group.momentum_names)
+        rows = [
+            ("impulse on the first [N·s | N·m·s]", in_words(self.impulse)),
+            ("energy lost [J]", f"{self.energy_lost:.6g} of {self.energy_before:.6g}"),
+            (f"momenta before ({names})", in_words(self.momentum_before)),
+            ("momentum after", in_words(self.momentum)),
+        ]
+        head = f"{self.a.name} captures {self.b.name}: {self.onto} fixed to {self.at}"
+        return "\n".join([head, *(f"  {name:<42} {value}" for name, value in rows)])
+
+
+@checks_arguments
+def capture(
+    a: Moment,
+    b: Moment,
+    *,
+    at: str,
+    onto: str,
+    tolerance: float = MEETING,
+    prefix: str | None = None,
+    name: str = "",
+) -> Capture:
+    """Fix a frame of one system to a frame of another, by a plastic impact.
+
+    Args:
+        a: The first system with its state: a Trajectory or Recording, whose last state counts; a
+            Scene, whose start counts; a Capture, a Landing, or a part of a Release; or a System
+            with its own initial state.
+        b: The second system with its state at the same time.
+        at: Link or frame of the first.
+        onto: Link or frame of the second, which coincides with it.
+        tolerance: Largest distance [m] and largest angle [rad] between the frames.  The joined
+            robot keeps the distance and the angle, so that no body jumps.
+        prefix: Text before the names of the second in the joined system.  If None, "" if no names
+            collide, and the name of the second otherwise.
+        name: Name of the joined system; those of both by default.
+    Returns:
+        The joined system with its state, the impulse, and the balances.
+    Raises:
+        InputError: A frame is unknown, the frames do not coincide, the groups or gravity differ, or
+            both are the same robot.
+        UnsupportedOperationError: A robot has closed loops.
+    """
+    tolerance = positive(tolerance, "tolerance")
+    (A, before_a), (B, before_b) = moment_of(a, "a"), moment_of(b, "b")
+    if a is b or (A is B and _same_state(before_a, before_b)):
+        raise InputError(
+            "capture: expected two systems, got the same one twice. Close a loop within one robot "
+            "by load(loops=)"
+        )
+    if reason := same_motions(A, B):
+        raise InputError(f"capture: {reason}")
+    first, second = place_of(A, at, "at"), place_of(B, onto, "onto")
+    data_a, data_b = (placements(s, i.pose, i.x) for s, i in ((A, before_a), (B, before_b)))
+    meeting = data_a.oMi[first.joint] * first.on_joint
+    offset = meeting.actInv(data_b.oMi[second.joint] * second.on_joint)
+    _check_meeting(
+        offset, tolerance, f"{quoted(at)} of '{A.name}'", f"{quoted(onto)} of '{B.name}'"
+    )
+    used = free_prefix(A, B) if prefix is None else prefix
+    joined = join(
+        A, B, at=at, onto=onto, offset=np.array(pin.SE3ToXYZQUAT(offset)), prefix=used, name=name
+    )
+    # The velocities of both robots are J v⁺, the rows of the first robot first.
+    J = _embedding(A, B, joined, (first, second), (before_a, before_b), offset, used)
+    H_a, H_b = mass_matrix(A, before_a), mass_matrix(B, before_b)
+    v_a, v_b = (np.concatenate([i.xi, i.xdot]) for i in (before_a, before_b))
+    p_a, p_b, split = H_a @ v_a, H_b @ v_b, A.n
+    J_a, J_b = J[:split], J[split:]
+    H = J_a.T @ H_a @ J_a + J_b.T @ H_b @ J_b
+    v = np.linalg.solve(H, J_a.T @ p_a + J_b.T @ p_b)
+    lost_a, lost_b = v_a - J_a @ v, v_b - J_b @ v
+    r = A.r
+    rows = jacobian(A, first, before_a)[:, :r]
+    impulse = rows @ np.linalg.solve(rows.T @ rows, -(H_a @ lost_a)[:r])
+    shape = carry_state([Moving(A, before_a), Moving(B, before_b, used)], joined).x
+    momentum_a = A.group.spatial_momentum(before_a.pose, p_a[:r])
+    momentum_b = _in_root_of(A, B, B.group.spatial_momentum(before_b.pose, p_b[:r]))
+    return Capture(
+        joined, Instant(before_a.pose.copy(), shape, v[r:], v[:r]), A, B, before_a, before_b,
+        at, onto, used, impulse,
+        energy_before=float(0.5 * (v_a @ p_a + v_b @ p_b)),
+        energy_lost=float(0.5 * (lost_a @ H_a @ lost_a + lost_b @ H_b @ lost_b)),
+        momentum_a=momentum_a, momentum_b=momentum_b,
+        momentum=A.group.spatial_momentum(before_a.pose, (H @ v)[:r]),
+    )  # fmt: skip
+
+
+def in_words(values: Array) -> str:
+    """Return numbers as text of one line; round-off of the largest counts as zero."""
+    least = 1e-12 * float(np.abs(values).max(initial=0.0))
+    shown = [f"{value:.6g}" if abs(value) > least else "0" for value in values.tolist()]
+    return f"({', '.join(shown)})"
+
+
+def moment_of(value: Moment, what: str) -> tuple[System, Instant]:
+    """Return a system with its state.
+
+    Args:
+        value: The value that states both.
+        what: Name of the argument in messages.
+    Returns:
+        The system and its state.
+    Raises:
+        InputError: The value is of another type, or the state is not finite.
+        UnsupportedOperationError: The system has closed loops.
+    """
+    if isinstance(value, System):
+        value = scene_of(checked_system(value, what), {})
+    if isinstance(value, _AfterImpact):
+        return value.system, value.instant
+    if isinstance(value, Scene):
+        start, system = value.start, value.system
+        state = Instant(start.pose, start.x, start.xdot, start.xi)
+    elif isinstance(value, OverTime):
+        system = value.system
+        last = value(value.scene.end) if isinstance(value, Trajectory) else value.states
+        k = (-1,) if last.t.ndim else ()
+        state = Instant(last.pose[k], last.x[k], last.xdot[k], last.xi[k])
+    else:
+        raise InputError(
+            f"{what}: expected a Trajectory, Recording, Scene, System, Capture, Landing or a part "
+            f"of a Release, got {type(value).__name__}"
+        )
+    system.refuse_loops(what)
+    if not all(is_finite(column) for column in vars(state).values()):
+        raise InputError(f"{what}: the state of '{system.name}' is not finite")
+    return system, state
+
+
+def _same_state(a: Instant, b: Instant) -> bool:
+    return np.array_equal(a.pose, b.pose) and np.array_equal(a.x, b.x)
+
+
+def _check_meeting(offset: pin.SE3, tolerance: float, a: str, b: str) -> None:
+    distance = float(np.linalg.norm(offset.translation))
+    angle = float(np.linalg.norm(pin.log3(offset.rotation)))
+    if not max(distance, angle) <= tolerance:
+        raise InputError(
+            f"capture: {a} and {b} do not coincide: they are {distance:.3g} m and {angle:.3g} rad "
+            f"apart, more than tolerance={tolerance:g}. End the approach where they meet, name "
+            "frames that meet, or allow this offset by a larger tolerance"
+        )
+
+
+def mass_matrix(system: System, state: Instant) -> Array:
+    """Return the mass matrix of base and shape, (n, n)."""
+    model, data = system.sorted_model, system.sorted_data
+    return mass_matrix_at(system, model, data, state.pose, state.x)
+
+
+def jacobian(system: System, place: Place, state: Instant) -> Array:
+    """Return the Jacobian of the body twist of a frame, (6, n), by (ξ, ẋ)."""
+    model, data = system.sorted_model, system.sorted_model.createData()
+    q = system.sorted_q(state.pose, state.x)
+    pin.computeJointJacobians(model, data, q)
+    J = pin.getJointJacobian(model, data, place.joint, pin.ReferenceFrame.LOCAL)
+    local = place.on_joint.toActionMatrixInverse() @ np.reshape(J, (6, model.nv))
+    return system.on_shape(local)
+
+
+def _embedding(
+    A: System,
+    B: System,
+    joined: System,
+    places: tuple[Place, Place],
+    states: tuple[Instant, Instant],
+    offset: pin.SE3,
+    prefix: str,
+) -> Array:
+    """Return J, (n_A + n_B, n): velocities of both robots by those of the joined one."""
+    r, n = A.r, joined.n
+    J_a, J_b = np.zeros((A.n, n)), np.zeros((B.n, n))
+    J_a[:r, :r] = np.eye(r)
+    turned = reversed_balls(renamed(take_apart(B), prefix), take_apart(joined))
+    slots = {joint.name: joint for joint in joined.space.joints}
+    for joint in A.space.joints:
+        new = slots[joint.name].v
+        J_a[r:][joint.v, r:][:, new] = np.eye(joint.kind.m)
+    for joint in B.space.joints:
+        name = prefix + joint.name
+        block = np.eye(joint.kind.m)
+        if name in turned:  # σ = −R(x)ᵀ σ' for the rate σ' of the reversed ball
+            block = -pin.Quaternion(states[1].x[joint.x]).matrix().T
+        J_b[r:][joint.v, r:][:, slots[name].v] = block
+    # The frames move alike: rows_b (ξ_b, ẋ_b) = offset⁻¹ rows_a (ξ_a, ẋ_a).
+    rows_a, rows_b = (jacobian(s, p, i) for s, p, i in zip((A, B), places, states, strict=True))
+    common = offset.toActionMatrixInverse() @ rows_a @ J_a - rows_b[:, r:] @ J_b[r:]
+    base = rows_b[:, :r]
+    J_b[:r] = np.linalg.solve(base.T @ base, base.T @ common)
+    return np.vstack([J_a, J_b])
+
+
+def _in_root_of(A: System, B: System, momentum: Array) -> Array:
+    """Return a momentum of B, (r,) in the fixed frame of its root, in that of the root of A."""
+    axes_a, axes_b = (axes_of(s.sorted_model.joints[1]) for s in (A, B))
+    between = B.sorted_model.jointPlacements[1].actInv(A.sorted_model.jointPlacements[1])
+    # The twists of the group are the same, so the momentum is a covector on them.
+    return np.asarray((axes_b.T @ between.toActionMatrix() @ axes_a).T @ momentum)
+
+
+@checks_arguments
+@dataclass(frozen=True, eq=False)
+class Released(_AfterImpact):
+    """One of the two systems after a release.
+
+    Attributes:
+        system: The system.
+        instant: Its state: pose, x, xdot and xi.
+    """
+
+
+@checks_arguments
+@dataclass(frozen=True, eq=False)
+class Release:
+    """The two systems into which a release divides a robot.
+
+    Attributes:
+        whole: The robot before the release.
+        before: Its state.
+        link: Link behind the joint that opens.
+        carrier: The part with the root, and its state.
+        released: The other part, and its state.
+    """
+
+    whole: System
+    before: Instant
+    link: str
+    carrier: Released
+    released: Released
+
+    def __str__(self) -> str:
+        rows = [f"{self.whole.name} opens at {self.link}"]
+        for part in (self.carrier, self.released):
+            system = part.system
+            rows.append(
+                f"  {system.name:<42} {system.mass:.6g} kg, {system.group.name} x "
+                f"{system.m} joints, xi = {in_words(part.instant.xi)}"
+            )
+        return "\n".join(rows)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Release of {self.released.system.name!r} from {self.whole.name!r} at {self.link!r}>"
+        )
+
+
+@checks_arguments
+def release(state: Moment, link: str, *, root: str = "") -> Release:
+    """Divide a robot at a joint, without an impulse: both parts move on as they did.
+
+    Args:
+        state: The robot with its state (see `capture`).
+        link: Link behind the joint that opens, or the joint itself.  The joint may be fixed, as
+            between links of a file or after a capture, or move.
+        root: Link of the released part whose motion its pose describes; `link` by default.
+    Returns:
+        Both systems with their states.
+    Raises:
+        InputError: The link is unknown or the root; couplings or springs connect both parts; or
+            the part cannot float on its own.
+        UnsupportedOperationError: The robot has closed loops.
+    """
+    system, before = moment_of(state, "release")
+    parts = [cut(system, link=link, part=part, root=root if part else "") for part in (0, 1)]
+    carrier, released = (
+        Released(part, carry_state([Moving(system, before)], part)) for part in parts
+    )
+    return Release(system, before, link, carrier, released)
