@@ -108,6 +108,14 @@ def spring_in(text: str) -> tuple[float, float]:
     return stiffness, rest
 
 
+def stop_in(text: str) -> dict[str, float]:
+    """Parse a text LOWER,UPPER or LOWER,UPPER,RESTITUTION into a stop.  Raises ValueError."""
+    lower, upper, *restitution = floats_in(text)
+    if len(restitution) > 1:
+        raise ValueError
+    return {"lower": lower, "upper": upper, "restitution": sum(restitution)}
+
+
 def lock_in(text: str, option: str) -> dict[str, float | list[float]]:
     """Parse J1,J2=VALUE,J3=V1,V2,V3 into {joint: value}, with zero for joints without a value."""
     lock: dict[str, float | list[float]] = {}

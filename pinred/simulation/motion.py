@@ -18,7 +18,8 @@ from ..forces.switch_times import time_within
 from ..system.coordinates import Indices
 from ..system.state_fields import ShapeState, State, map_arrays
 from .control import Control, ControlAction, Replay
-from .events import Crossing, Watch, cut_at_event
+from .events import Crossing, Watch, cut_at
+from .impacts import ImpactTable
 from .plan import Plan
 from .reduced_flow import Integrate, ReducedFlow, Segment, Segments
 from .run_record import Part, RunRecord
@@ -95,6 +96,25 @@ class Motion:
     def replay(self) -> Replay:
         """The actions of the controllers, for another simulation."""
         return Replay(self.segments.ends, [self._numbers(segment) for segment in self.segments])
+
+    def flow_of(self, k: int) -> ReducedFlow:  # noqa: ARG002
+        """Return the flow of segment k."""
+        return self.flow
+
+    @property
+    def impacts(self) -> ImpactTable | None:
+        """The impacts at joint stops; None without stops."""
+        return None
+
+    def locked(self, t: Array) -> Iterator[tuple[tuple[int, ...], Indices]]:
+        """Yield the indices of the rates that stops lock, with the indices of times (T,).
+
+        Args:
+            t: Times, (T,) [s].
+        Yields:
+            The indices of rates and of times; every time once.
+        """
+        yield (), np.arange(len(t))
 
     def reduced(self, t: Array) -> Array:
         """Return the reduced states at times (T,), (T, k)."""
@@ -267,8 +287,8 @@ def follow(
             if record is not None:
                 record.begin(part)
             segment = integrate(part.start, part.end, y, part.parameters, stopping, record)
-            if watch is not None and watch.look(segment):
-                segments += cut_at_event(watch, segment, integrate)
+            if watch is not None and watch.look(segment) and watch.end is not None:
+                segments += cut_at(watch.end.t, segment, integrate)
                 break
             segments.append(segment)
             t, part = part.end, None

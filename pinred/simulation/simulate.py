@@ -149,7 +149,13 @@ def _simulated(
     """Return the trajectory of a plan; with `check`, one whose steps skip no force."""
     again = partial(simulate, plan.scene, engine=engine, check=check)
     run: Callable[[Plan], Trajectory]
-    if engine == "compiled":
+    if plan.scene.bounds:
+        from .run_with_stops import refuse_with_stops, run_with_stops
+
+        expect_integration(plan.method)
+        refuse_with_stops(plan, engine, check=check, checkpoint=checkpoint is not None)
+        run = partial(run_with_stops, progress=progress, again=again)
+    elif engine == "compiled":
         expect_integration(plan.method)  # before the kernels are imported
         from .compiled.run_compiled import run_compiled
 

@@ -103,6 +103,7 @@ class _Builder:
             "method": self._method,
             "prescribed": lambda value, at: self._by_joint(value, at, self.signals.motion),
             "springs": self._per_joint,
+            "stops": self._per_joint,
             "controls": self._controls,
             "forces": lambda value, at: [self._force(v, at / k) for k, v in enumerate(value)],
             "events": lambda value, at: [self._event(v, at / k) for k, v in enumerate(value)],

@@ -1,0 +1,627 @@
+"""Simulation with joint stops: a sequence of modes, and the impacts between them.
+
+A mode is a set of joints that rest at their stops. Within a mode, the motion is that of the system
+with these joints locked: a smaller shape space with the same symmetry group and momentum. The
+integration of a mode ends when another joint reaches its stop, or when the reaction of a stop would
+pull. Between two integrations, only canonical momenta of the joints at their stops change. The base
+variables of the reduced state are copied, so the spatial momentum does not even change by round-off.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..common.arrays import Array, read_only
+from ..common.errors import InputError, IntegrationError, UnsupportedOperationError
+from ..common.names import listed
+from ..common.progress import Progress
+from ..forces.tracking import PD, ComputedTorque
+from ..integrators.methods import ErrorControl
+from ..reduction.pointwise_reduction import PointwiseReduction
+from ..scene.option_checks import list_forces
+from ..scene.scene import Scene
+from ..scene.stop import Bound
+from ..system.coordinates import Indices
+from ..system.state_fields import ShapeState, State, map_arrays
+from .balances import driving_torques
+from .compiled.compiled_flow import CompiledFlow
+from .compiled.integrator import integrator
+from .control import Replay
+from .events import Crossing, RootSearch, Watch, cut_at
+from .impacts import Impact, ImpactTable, impulses, solve_complementarity, table_of
+from .integrate_plan import Again, trajectory_of_motion
+from .motion import Changes, Motion
+from .plan import Plan, plan_of
+from .reduced_flow import Integrate, ReducedFlow, Segment
+from .sample import Sample, map_samples
+from .trajectory import Cost, Trajectory
+
+_CHUNK = 8  # Number of steps after which stops are first looked for.
+_ROUND_OFF = 16.0 * float(np.finfo(float).eps)
+_CLINGING = 1e-12  # Pull of a stop that counts as round-off, relative to the kinetic energy per rad.
+_AT_REST = 1e-13  # Rate at a stop that counts as zero, relative to the largest rate.
+MOST_IMPACTS = 100_000  # Largest number of impacts of one run.
+
+Rest = tuple[Bound, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """The motion with some joints at rest at their stops.
+
+    Attributes:
+        rest: The stops at which joints rest.
+        moving: Bounds of the other joints.
+        start: Flow of the mode, with a meaningless state.
+        integrate: Integrator of the flow.
+    """
+
+    rest: Rest
+    moving: tuple[Bound, ...]
+    start: CompiledFlow
+    integrate: Integrate
+
+    @property
+    def label(self) -> str:
+        """The joints at rest in words."""
+        if not self.rest:
+            return "no joint at rest"
+        return listed([f"{bound.joint} at its {bound.side} stop" for bound in self.rest], 8)
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A part of a motion without impacts inside.
+
+    Attributes:
+        mode: The mode.
+        start: Start time [s].
+        flow: Flow from the state at the start.
+        impact: The impact at the start, or None.
+        segments: The segments.
+        numbers: Force parameters of the scene, without locked joints, in each segment.
+    """
+
+    mode: Mode
+    start: float
+    flow: CompiledFlow
+    impact: Impact | None
+    segments: list[Segment] = field(default_factory=list)
+    numbers: list[Array] = field(default_factory=list)
+
+
+class StoppedMotion(Motion):
+    """A motion with stops: segments of several flows.
+
+    At the time of an impact, the state is that before it.
+    """
+
+    def __init__(self, phases: Sequence[Phase], before: CompiledFlow, watch: Watch | None) -> None:
+        """Store a motion.
+
+        Args:
+            phases: The phases, in order of time.
+            before: Flow from the initial state, before an impact at the start.
+            watch: Detection of events.
+        """
+        super().__init__(
+            before, [segment for p in phases for segment in p.segments], varies=True, watch=watch
+        )
+        self._phases, self._before = phases, before
+        self._of_segment = [phase for phase in phases for _ in phase.segments]
+        self._own_numbers = [numbers for phase in phases for numbers in phase.numbers]
+
+    @cached_property
+    def impacts(self) -> ImpactTable:
+        """The impacts."""
+        impacts, momenta, flow, y = [], [], self._before, self._before.y0
+        for phase in self._phases:
+            if phase.impact is not None:
+                t = np.array([phase.start])
+                states = [flow.states(t, y[None])]
+                states.append(phase.flow.states(t, phase.flow.y0[None]))
+                impacts.append(phase.impact)
+                momenta.append([momentum_of(state, self._before) for state in states])
+            flow, y = phase.flow, phase.flow.y0
+            for last in phase.segments[-1:]:
+                y = last.at(np.array([last.end]))[0]
+        shape = len(impacts), 2, self._before.kernel.system.r
+        return table_of(impacts, np.array(momenta).reshape(shape))
+
+    @property
+    def modes(self) -> tuple[tuple[float, str], ...]:
+        """Start time [s] and name of each mode, in order of time."""
+        modes: list[tuple[float, str]] = []
+        for phase in self._phases:
+            if not modes or modes[-1][1] != phase.mode.label:
+                modes.append((phase.start, phase.mode.label))
+        return tuple(modes)
+
+    @property
+    def replay(self) -> Replay:
+        """The force parameters of the scene in each segment."""
+        return Replay(self.segments.ends, self._own_numbers)
+
+    def flow_of(self, k: int) -> ReducedFlow:
+        """Return the flow of segment k."""
+        return self._of_segment[k].flow
+
+    def reduced(self, t: Array) -> Array:  # noqa: ARG002
+        """Reject the request: reduced states of several modes differ in their entries."""
+        raise UnsupportedOperationError(
+            "reduced states of a motion with stops differ in their entries; use its full states"
+        )
+
+    def changes(self, t: Array) -> Changes:
+        """Reject the request; see `reduced`."""
+        return Changes(self._which(t), self.reduced(t), t)
+
+    def states(self, t: Array) -> State | ShapeState:
+        """Return the full states at times (T,)."""
+        parts, order = [], []
+        for k, rows in self._by_number(t):
+            y, parameters = self.segments[k].at(t[rows]), self.segments[k].parameters
+            parts.append(self._of_segment[k].flow.states(t[rows], y, parameters))
+            order.append(rows)
+        inverse_order = np.argsort(np.concatenate(order))
+        return map_arrays(lambda *columns: np.concatenate(columns)[inverse_order], *parts)
+
+    def samples(self, t: Array) -> tuple[Sample, Array]:
+        """Return the states at times (T,) that forces depend on, and force parameters, (T, p)."""
+        parts, order = [], []
+        for k, rows in self._by_number(t):
+            y, parameters = self.segments[k].at(t[rows]), self.segments[k].parameters
+            parts.append(self._of_segment[k].flow.samples(t[rows], y, parameters))
+            order.append(rows)
+        inverse_order = np.argsort(np.concatenate(order))
+        samples = map_samples(lambda columns: np.concatenate(columns)[inverse_order], parts)
+        return samples, np.array(self.numbers(t)).reshape(len(t), -1)
+
+    def numbers(self, t: Array) -> list[Array]:
+        """Return the force parameters (p,) of the scene at each of times (T,)."""
+        return [self._own_numbers[k] for k in self._which(t)]
+
+    def locked(self, t: Array) -> Iterator[tuple[tuple[int, ...], Indices]]:
+        """Yield the rates of the joints at rest; see Motion.locked."""
+        for k, rows in self._by_number(t):
+            yield tuple(bound.v for bound in self._of_segment[k].mode.rest), rows
+
+    def _by_number(self, t: Array) -> Iterator[tuple[int, Indices]]:
+        """Yield the index of each segment that contains some of times (T,), with their indices."""
+        which = self._which(t)
+        order = np.argsort(which, kind="stable")
+        firsts = np.flatnonzero(np.diff(which[order], prepend=-1))
+        for first, last in pairwise([*firsts.tolist(), len(order)]):
+            yield int(which[order[first]]), order[first:last]
+
+
+def momentum_of(state: State | ShapeState, flow: CompiledFlow) -> Array:
+    """Return the spatial momentum (r,) of a single state; NaN if the base is left out."""
+    if isinstance(state, State):
+        return np.asarray(state.spatial_momentum[0])
+    return np.full(flow.kernel.system.r, np.nan)
+
+
+class _StopSearch(RootSearch):
+    """The search for the next impact or release in a mode."""
+
+    def __init__(self, plan: Plan, mode: Mode, flow: CompiledFlow, numbers: Array, cling: float):
+        """Prepare the search from the start of a phase.
+
+        Args:
+            plan: The plan of the scene.
+            mode: The mode.
+            flow: Its flow.
+            numbers: Force parameters of the scene, (p,).
+            cling: Pull of a stop that counts as round-off.
+        """
+        count = len(mode.moving) + len(mode.rest)
+        super().__init__(np.ones(count), range(count))
+        self._plan, self._mode, self._flow, self._numbers = plan, mode, flow, numbers
+        self._cling = cling
+        layout = flow.kernel.layout
+        at = {v: k for k, v in enumerate(layout.active)}
+        at |= {v: 2 * layout.pairs + k for k, v in enumerate(layout.cyclic)}
+        self._columns = [at.get(bound.v, -1) for bound in mode.moving]
+        self._driven = [k for k, column in enumerate(self._columns) if column < 0]
+        self._sides = np.array([bound.sign for bound in mode.moving])
+        self._positions = np.array([bound.position for bound in mode.moving])
+        self._margins = _ROUND_OFF * np.maximum(1.0, np.abs(self._positions))
+        self.found: list[Crossing] = []
+
+    def look(self, segment: Segment) -> bool:
+        """Search the new steps of a segment; return whether an impact or a release was found."""
+        if self.found or segment.end <= self._reached:
+            return bool(self.found)
+        knots = segment.knots
+        step_ends = knots[max(int(np.searchsorted(knots, self._reached)) - 1, 0) :]
+        roots = self.roots(segment, step_ends)
+        self._reached = segment.end
+        self.found = sorted((r for r in roots if not r.rising), key=lambda root: root.t)
+        return bool(self.found)
+
+    def values(self, segment: Segment, t: Array) -> Array:
+        """Return the gaps of moving joints and the reactions of resting ones, (E, T)."""
+        y = segment.at(t)
+        x = y[:, self._columns].T
+        if self._driven:
+            samples = self._flow.samples(t, y, segment.parameters)
+            x[self._driven] = samples.x[:, [self._mode.moving[k].x for k in self._driven]].T
+        gaps = self._sides[:, None] * (x - self._positions[:, None]) + self._margins[:, None]
+        if not self._mode.rest:
+            return gaps
+        samples = self._flow.samples(t, y, segment.parameters)
+        reactions = reactions_of(self._plan, self._mode.rest, t, samples, self._numbers)
+        return np.vstack([gaps, reactions.T + self._cling])
+
+
+def reactions_of(plan: Plan, rest: Rest, t: Array, samples: Sample, numbers: Array) -> Array:
+    """Return the reactions of the stops at which joints rest, away from the stops, (T, R).
+
+    Args:
+        plan: The plan of the scene.
+        rest: The stops.
+        t: Times, (T,) [s].
+        samples: States that forces depend on.
+        numbers: Force parameters of the scene, (p,).
+    """
+    locked, rows = [bound.v for bound in rest], np.tile(numbers, (len(t), 1))
+    torques = driving_torques(plan, t, samples, rows, locked)[:, len(plan.acting.driven) :]
+    return torques * np.array([bound.sign for bound in rest])
+
+
+@dataclass(frozen=True)
+class _State:
+    """A state between two phases.
+
+    Attributes:
+        t: Time [s].
+        flow: Flow that leads to this state.
+        y: Reduced state, (k,).
+    """
+
+    t: float
+    flow: CompiledFlow
+    y: Array
+
+
+@dataclass(frozen=True)
+class _Contact:
+    """Stops that joints touch at one time.
+
+    Attributes:
+        bounds: The stops.
+        u: Rates away from the stops, (K,).
+        G: Inverse reduced metric with the signs of the stops, (K, K).
+        may_rest: Whether each joint may rest: False for those that are just released, (K,).
+    """
+
+    bounds: Rest
+    u: Array
+    G: Array
+    may_rest: Array
+
+
+class _Run:
+    """One run with stops."""
+
+    def __init__(self, plan: Plan, progress: Progress | None) -> None:
+        self.plan, self.scene, self.bounds = plan, plan.scene, plan.scene.bounds
+        self.progress, self.system = progress, plan.system
+        self._free = replace(self.scene, stops=None, events=())
+        free_plan = self._limited(self._free)
+        self.first = CompiledFlow.of_plan(free_plan)
+        integrate = integrator(self.first, free_plan, progress, chunk=_CHUNK)
+        self._modes = {(): Mode((), self.bounds, self.first, integrate)}
+        self._reduction = self.system.workspace(
+            PointwiseReduction, lambda: PointwiseReduction(self.system)
+        )
+        # Rates that impacts change, and the index of each rate among them.
+        self._rates = list(plan.acting.free)
+        self._impacts = 0
+        watched = self.scene.watched
+        self.watch = None if watched is None else Watch(self.scene, self.first, watched)
+
+    def _limited(self, scene: Scene) -> Plan:
+        return plan_of(scene).limited(self.plan.longest, self.plan.stops[:-1])
+
+    def mode(self, rest: Rest) -> Mode:
+        """Return a mode, built at its first use."""
+        mode = self._modes.get(rest)
+        if mode is None:
+            locked = {bound.v for bound in rest}
+            plan = self._limited(self._locked(rest))
+            flow = self.first.in_mode(plan)
+            moving = tuple(bound for bound in self.bounds if bound.v not in locked)
+            integrate = integrator(flow, plan, self.progress, chunk=_CHUNK)
+            mode = self._modes[rest] = Mode(rest, moving, flow, integrate)
+        return mode
+
+    def _locked(self, rest: Rest) -> Scene:
+        """Return the scene with some joints locked at their stops."""
+        scene, start = self._free, self._free.start
+        x, xdot, names = start.x.copy(), start.xdot.copy(), self.system.shape_names
+        for bound in rest:
+            x[bound.x], xdot[bound.v] = bound.position, 0.0
+        plans = {names[bound.v]: bound.position for bound in rest}
+        return replace(
+            scene, x0=x, xdot0=xdot, xi0=start.xi, pose0=start.pose, momentum=None, seed=None,
+            keyframe=None, q0=None, v0=None, prescribed={**scene.prescribed, **plans},
+        )  # fmt: skip
+
+    def motion(self) -> StoppedMotion:
+        """Integrate from impact to impact."""
+        end, phases = self.scene.end, list[Phase]()
+        x = self._free.start.x
+        touching = [bound for bound in self.bounds if self._gap(bound, x) <= 0.0]
+        state = _State(0.0, self.first, self.first.y0)
+        phase = Phase(self.mode(()), 0.0, self.first, None)
+        if touching:
+            phase = self._resolve(state, (), touching, released=())
+        while True:
+            phases.append(phase)
+            state, search = self._follow(phase)
+            if state.t >= end or search is None:
+                return StoppedMotion(phases, self.first, self.watch)
+            phase = self._next(state, phase.mode, search)
+
+    def _follow(self, phase: Phase) -> tuple[_State, _StopSearch | None]:
+        """Integrate a phase to the next impact or release; without a search, it ends the motion."""
+        flow, mode, t, y = phase.flow, phase.mode, phase.start, phase.flow.y0
+        cling = self._cling(flow, t, y)
+        if self.watch is not None:
+            self.watch.flow = flow
+        for stop in self.plan.stops[self.plan.stops > t].tolist():
+            parameters = read_only(flow.parameters_between(t, stop))
+            own = self.first.parameters_between(t, stop)[self.first.numbers_at]
+            search = _StopSearch(self.plan, mode, flow, own, cling)
+            segment = mode.integrate(t, stop, read_only(y), parameters, search.look)
+            is_hit = search.look(segment)
+            parts = cut_at(search.found[0].t, segment, mode.integrate) if is_hit else [segment]
+            if not parts:
+                raise IntegrationError(
+                    f"stops: '{self.system.name}' cannot leave its stop at t = {t:g} s. Increase "
+                    "rest_rate, or loosen the tolerances"
+                )
+            for part in parts:
+                ended = self.watch is not None and self.watch.look(part)
+                if ended and self.watch is not None and self.watch.end is not None:
+                    t = self.watch.end.t
+                    cut = cut_at(t, part, mode.integrate)
+                    phase.segments.extend(cut)
+                    phase.numbers.extend([own] * len(cut))
+                    return _State(t, flow, y), None
+                phase.segments.append(part)
+                phase.numbers.append(own)
+            t = parts[-1].end
+            y = np.array(parts[-1].at(np.array([t]))[0])
+            if is_hit:
+                return _State(t, flow, y), search
+        return _State(t, flow, y), None
+
+    def _next(self, state: _State, mode: Mode, search: _StopSearch) -> Phase:
+        """Return the phase after an impact or a release."""
+        x, xdot, _ = state.flow.canonical_momenta(state.t, state.y)
+        first, within = search.found[0].t, self.scene.rtol * self.scene.end
+        together = {root.event for root in search.found if root.t <= first + within}
+        count = len(mode.moving)
+        released = tuple(mode.rest[k - count] for k in together if k >= count)
+        touching = []
+        for k, bound in enumerate(mode.moving):
+            u, gap = bound.sign * xdot[bound.v], self._gap(bound, x)
+            if k in together or gap <= 0.0 or (u < 0.0 and gap <= -u * within):
+                touching.append(bound)
+        self._refuse_driven(touching, state.t)
+        return self._resolve(state, mode.rest, touching, released)
+
+    def _refuse_driven(self, touching: Sequence[Bound], t: float) -> None:
+        for bound in touching:
+            if bound.v in self.plan.acting.driven:
+                raise InputError(
+                    f"prescribed: the motion of joint '{bound.joint}' runs into its {bound.side} "
+                    f"stop at t = {t:g} s. Change its motion, or omit its stop"
+                )
+
+    def _resolve(
+        self, state: _State, rest: Rest, touching: Sequence[Bound], released: Rest
+    ) -> Phase:
+        """Apply the impact at the stops that joints touch, and choose the joints that rest."""
+        x, xdot, pi = state.flow.canonical_momenta(state.t, state.y)
+        among = {*rest, *touching}
+        bounds = tuple(bound for bound in self.bounds if bound in among)
+        for bound in bounds:
+            x[bound.x] = bound.position
+        v, sign = [b.v for b in bounds], np.array([b.sign for b in bounds])
+        rows = [self._rates.index(k) for k in v]
+        metric = self._reduction.split(x).reduced_metric[np.ix_(self._rates, self._rates)]
+        inverse = np.linalg.solve(metric, np.eye(len(metric))[:, rows])
+        G = sign[:, None] * inverse[rows] * sign
+        small = _AT_REST * float(np.abs(xdot).max(initial=0.0))
+        u = sign * xdot[v]
+        u[[bound in rest for bound in bounds]] = 0.0
+        may_rest = np.array([bound not in released for bound in bounds])
+        contact = _Contact(bounds, np.where(np.abs(u) <= small, 0.0, u), 0.5 * (G + G.T), may_rest)
+        impulse, after, resting = self._outcome(state, contact, x, xdot, inverse, sign)
+        pi[v] += sign * impulse
+        new = self.mode(tuple(b for b, stays in zip(bounds, resting, strict=True) if stays))
+        flow = new.start.resumed(state.t, x, pi, state.flow, state.y)
+        impact = _impact(state.t, contact, impulse, after)
+        self._count(impact, state.t)
+        return Phase(new, state.t, flow, impact)
+
+    def _outcome(
+        self, state: _State, contact: _Contact, x: Array, xdot: Array, inverse: Array, sign: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return the impulses, the rates after them, and the joints that rest, (K,) each.
+
+        Slow rebounds become rest if the joint stays at its stop. Whether it does depends on the
+        other joints, so the decision is repeated without those that leave.
+        """
+        bounds, u, G = contact.bounds, contact.u, contact.G
+        e = np.array([bound.stop.restitution for bound in bounds])
+        slowest = np.array([bound.stop.rest_rate for bound in bounds])
+        usual = impulses(G, u, e)
+        after = _rates_after(G, u, e, usual)
+        slow = contact.may_rest & (after <= slowest) & (usual > 0.0)
+        while True:
+            chosen = np.where(slow, 0.0, e)
+            impulse = impulses(G, u, chosen)
+            after = _rates_after(G, u, chosen, impulse)
+            candidates = np.flatnonzero(contact.may_rest & (after <= 0.0))
+            rates = xdot.copy()
+            rates[self._rates] += inverse @ (sign * impulse)
+            resting = np.zeros(len(bounds), dtype=bool)
+            height = np.zeros(len(bounds))
+            if candidates.size:
+                rest = tuple(bounds[k] for k in candidates)
+                stays, back = self._stays(state, rest, G[np.ix_(candidates, candidates)], x, rates)
+                resting[candidates] = stays
+                u_slow = np.where(slow, e * np.maximum(-u, 0.0), 0.0)[candidates]
+                height[candidates] = u_slow**2 / (2.0 * np.maximum(back, 1e-300))
+            least = self.scene.atol + self.scene.rtol * np.array(
+                [max(1.0, abs(bound.position)) for bound in bounds]
+            )
+            leaves = slow & (e > 0.0) & ~(resting & (height <= least))
+            if not leaves.any():
+                return impulse, after, resting
+            slow &= ~leaves
+
+    def _stays(
+        self, state: _State, rest: Rest, G: Array, x: Array, xdot: Array
+    ) -> tuple[Array, Array]:
+        """Return which joints stay at their stops, and their accelerations back if they left.
+
+        The accelerations a away from the stops and the reactions R obey a = G (R − R_locked) ≥ 0,
+        R ≥ 0, and a or R is zero; R_locked are the reactions if all joints stay.
+        """
+        sample = self._sample(state, x, xdot)
+        own = self.first.parameters_between(state.t, self._stop_after(state.t))
+        numbers = own[self.first.numbers_at]
+        t = np.array([state.t])
+        locked = reactions_of(self.plan, rest, t, sample, numbers)[0]
+        energy = self._energy(x, xdot, sample.xi[0])
+        back = locked / np.diag(np.linalg.inv(G))
+        if (locked >= -_CLINGING * energy).all():
+            return np.ones(len(rest), dtype=bool), back
+        return solve_complementarity(G, -G @ locked) > 0.0, back
+
+    def _sample(self, state: _State, x: Array, xdot: Array) -> Sample:
+        """Return the sample at a state with other rates of the shape and the same momentum."""
+        sample = state.flow.samples(
+            np.array([state.t]), state.y[None], state.flow.parameters
+        )
+        split = self._reduction.split(x)
+        xi = sample.xi[0] + split.local_connection @ (sample.xdot[0] - xdot)
+        base = sample.base
+        if base is not None:
+            base = replace(base, xi=base.xi + split.local_connection @ (sample.xdot[0] - xdot))
+        return replace(sample, x=x[None], xdot=xdot[None], xi=xi[None], base=base)
+
+    def _stop_after(self, t: float) -> float:
+        later = self.plan.stops[self.plan.stops > t]
+        return float(later[0]) if later.size else self.scene.end
+
+    def _energy(self, x: Array, xdot: Array, xi: Array) -> float:
+        """Return the kinetic energy relative to the centre of mass [J]."""
+        return float(self._reduction.split(x).kinetic_energy(xdot, xi))
+
+    def _cling(self, flow: CompiledFlow, t: float, y: Array) -> float:
+        """Return the pull of a stop that counts as round-off [N·m | N]."""
+        x, xdot, _ = flow.canonical_momenta(t, y)
+        sample = flow.samples(np.array([t]), y[None], flow.parameters)
+        return 2.0 * _CLINGING * self._energy(x, xdot, sample.xi[0])
+
+    def _count(self, impact: Impact | None, t: float) -> None:
+        self._impacts += impact is not None
+        if self._impacts > MOST_IMPACTS:
+            raise IntegrationError(
+                f"stops: '{self.system.name}' has more than {MOST_IMPACTS} impacts before "
+                f"t = {t:g} s. Increase rest_rate, or simulate a shorter time"
+            )
+
+    @staticmethod
+    def _gap(bound: Bound, x: Array) -> float:
+        margin = _ROUND_OFF * max(1.0, abs(bound.position))
+        return float(bound.sign * (x[bound.x] - bound.position)) - margin
+
+
+def _rates_after(G: Array, u: Array, e: Array, impulse: Array) -> Array:
+    """Return the rates after impulses, exact where Newton's law determines them."""
+    return np.where(impulse > 0.0, -e * u, u + G @ impulse)
+
+
+def _impact(t: float, contact: _Contact, impulse: Array, after: Array) -> Impact | None:
+    """Return the rows of an impact; None without impulses."""
+    rows = np.flatnonzero(impulse > 0.0)
+    if not rows.size:
+        return None
+    bounds, u = [contact.bounds[k] for k in rows], contact.u[rows]
+    sign = np.array([bound.sign for bound in bounds])
+    ratio = np.array([bound.ratio for bound in bounds])
+    return Impact(
+        t=t,
+        joint=tuple(bound.joint for bound in bounds),
+        side=tuple(bound.side for bound in bounds),
+        impulse=sign * impulse[rows] / ratio,
+        rates=np.array([sign * u, sign * after[rows]]) * ratio,
+        energy_lost=-0.5 * impulse[rows] * (u + after[rows]),
+    )
+
+
+def run_with_stops(plan: Plan, progress: Progress | None, again: Again) -> Trajectory:
+    """Return the trajectory of a plan whose scene has stops, with the compiled engine.
+
+    Args:
+        plan: The plan.
+        progress: Called repeatedly with the completed fraction of the time, 0 to 1.
+        again: Function that simulates the scene again; see Trajectory.
+    Returns:
+        The trajectory.
+    Raises:
+        InputError: A prescribed joint runs into its stop.
+        IntegrationError: The integrator cannot continue, or there are too many impacts.
+    """
+    run = _Run(plan, progress)
+    started = time.perf_counter()
+    motion = run.motion()
+    wall = time.perf_counter() - started
+    cost = Cost(
+        "compiled", plan.method.name, motion.steps, motion.evaluations, wall, plan.notices
+    )
+    return trajectory_of_motion(plan, motion, cost, again)
+
+
+def refuse_with_stops(plan: Plan, engine: str, *, check: bool, checkpoint: bool) -> None:
+    """Reject options of a simulation that do not act together with stops.
+
+    Args:
+        plan: The plan of a scene with stops.
+        engine: Name of the engine.
+        check: Whether steps are checked for skipped forces.
+        checkpoint: Whether a checkpoint is written.
+    Raises:
+        InputError: An option does not act together with stops; the message has the remedy.
+    """
+    forces, method = plan.forces, plan.method
+    reference = any(isinstance(f, (PD, ComputedTorque)) for f in list_forces(plan.scene.forces))
+    refused = {
+        "engine 'pinocchio'. Use the compiled engine": engine != "compiled",
+        "checkpoint. Omit it": checkpoint,
+        "check. Omit it": check,
+        "controllers. Use forces or controls that are functions of time and state": bool(
+            forces is not None and forces.held
+        ),
+        f"method {method.name}. Use DOP853, Tsit5 or auto": not isinstance(method, ErrorControl)
+        or method.symplectic,
+        "forces with a reference. Use torques that are functions of the state": reference,
+    }
+    for words, is_refused in refused.items():
+        if is_refused:
+            raise InputError(f"stops: expected none with {words}, or omit stops")
