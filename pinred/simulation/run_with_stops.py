@@ -12,11 +12,13 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
+from math import comb
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 
 from ..common.arrays import Array, read_only
 from ..common.errors import InputError, IntegrationError, UnsupportedOperationError
@@ -24,6 +26,7 @@ from ..common.names import listed
 from ..common.progress import Progress
 from ..forces.tracking import PD, ComputedTorque
 from ..integrators.methods import ErrorControl
+from ..reduction.inertia_split import symmetric
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..scene.option_checks import list_forces
 from ..scene.scene import Scene
@@ -34,7 +37,7 @@ from .balances import driving_torques
 from .compiled.compiled_flow import CompiledFlow
 from .compiled.integrator import integrator
 from .control import Replay
-from .events import Crossing, RootSearch, Watch, cut_at
+from .events import RootSearch, Watch, cut_at
 from .impacts import Impact, ImpactTable, impulses, solve_complementarity, table_of
 from .integrate_plan import Again, trajectory_of_motion
 from .motion import Changes, Motion
@@ -47,6 +50,7 @@ _CHUNK = 8  # Number of steps after which stops are first looked for.
 _ROUND_OFF = 16.0 * float(np.finfo(float).eps)
 _CLINGING = 1e-12  # Pull of a stop that counts as round-off, relative to the kinetic energy per rad.
 _AT_REST = 1e-13  # Rate at a stop that counts as zero, relative to the largest rate.
+_NEWTON = 0.6  # Largest part of a step in which a single root is polished.
 MOST_IMPACTS = 100_000  # Largest number of impacts of one run.
 
 Rest = tuple[Bound, ...]
@@ -210,7 +214,12 @@ def momentum_of(state: State | ShapeState, flow: CompiledFlow) -> Array:
 
 
 class _StopSearch(RootSearch):
-    """The search for the next impact or release in a mode."""
+    """The search for the next impact or release in a mode.
+
+    Within a step, the dense output of a gap is a polynomial. If its Bernstein coefficients are
+    positive, it has no root, so no contact is missed. Reactions, and gaps of prescribed joints, are
+    sampled like events.
+    """
 
     def __init__(self, plan: Plan, mode: Mode, flow: CompiledFlow, numbers: Array, cling: float):
         """Prepare the search from the start of a phase.
@@ -222,19 +231,22 @@ class _StopSearch(RootSearch):
             numbers: Force parameters of the scene, (p,).
             cling: Pull of a stop that counts as round-off.
         """
-        count = len(mode.moving) + len(mode.rest)
+        layout, bounds = flow.kernel.layout, mode.moving
+        at = {v: k for k, v in enumerate(layout.active)}
+        at |= {v: 2 * layout.pairs + k for k, v in enumerate(layout.cyclic)}
+        self._polynomial = [k for k, bound in enumerate(bounds) if bound.v in at]
+        self._driven = [k for k, bound in enumerate(bounds) if bound.v not in at]
+        count = len(self._driven) + len(mode.rest)
         super().__init__(np.ones(count), range(count))
         self._plan, self._mode, self._flow, self._numbers = plan, mode, flow, numbers
         self._cling = cling
-        layout = flow.kernel.layout
-        at = {v: k for k, v in enumerate(layout.active)}
-        at |= {v: 2 * layout.pairs + k for k, v in enumerate(layout.cyclic)}
-        self._columns = [at.get(bound.v, -1) for bound in mode.moving]
-        self._driven = [k for k, column in enumerate(self._columns) if column < 0]
-        self._sides = np.array([bound.sign for bound in mode.moving])
-        self._positions = np.array([bound.position for bound in mode.moving])
-        self._margins = _ROUND_OFF * np.maximum(1.0, np.abs(self._positions))
-        self.found: list[Crossing] = []
+        self._columns = [at[bounds[k].v] for k in self._polynomial]
+        self._sides = np.array([bound.sign for bound in bounds])
+        positions = np.array([bound.position for bound in bounds])
+        margins = _ROUND_OFF * np.maximum(1.0, np.abs(positions))
+        self._offsets = margins - self._sides * positions
+        self._nodes, self._bernstein = bernstein(plan.method.order)
+        self.found: list[tuple[float, Bound]] = []
 
     def look(self, segment: Segment) -> bool:
         """Search the new steps of a segment; return whether an impact or a release was found."""
@@ -242,24 +254,106 @@ class _StopSearch(RootSearch):
             return bool(self.found)
         knots = segment.knots
         step_ends = knots[max(int(np.searchsorted(knots, self._reached)) - 1, 0) :]
-        roots = self.roots(segment, step_ends)
+        if self._polynomial:
+            self._search_steps(segment, step_ends)
+        if self._sampled:
+            functions = [*(self._mode.moving[k] for k in self._driven), *self._mode.rest]
+            crossings = self.roots(segment, step_ends)
+            self.found += [(root.t, functions[root.event]) for root in crossings if not root.rising]
         self._reached = segment.end
-        self.found = sorted((r for r in roots if not r.rising), key=lambda root: root.t)
+        self.found.sort(key=lambda root: root[0])
         return bool(self.found)
 
+    def _search_steps(self, segment: Segment, step_ends: Array) -> None:
+        """Find the first roots of gaps whose dense output is a polynomial in each step."""
+        starts, lengths = step_ends[:-1], np.diff(step_ends)
+        times = starts[:, None] + lengths[:, None] * self._nodes
+        y = segment.at(times.ravel())[:, self._columns].reshape(*times.shape, -1)
+        gaps = self._sides[self._polynomial] * y + self._offsets[self._polynomial]
+        coefficients = np.einsum("ij,sjb->sib", self._bernstein, gaps)
+        for step in np.flatnonzero((coefficients <= 0.0).any(axis=(1, 2))).tolist():
+            for k in np.flatnonzero((coefficients[step] <= 0.0).any(axis=0)).tolist():
+                part = first_root(coefficients[step, :, k])
+                if part is not None:
+                    time = float(starts[step] + part * lengths[step])
+                    self.found.append((time, self._mode.moving[self._polynomial[k]]))
+            if self.found:
+                return
+
     def values(self, segment: Segment, t: Array) -> Array:
-        """Return the gaps of moving joints and the reactions of resting ones, (E, T)."""
-        y = segment.at(t)
-        x = y[:, self._columns].T
-        if self._driven:
-            samples = self._flow.samples(t, y, segment.parameters)
-            x[self._driven] = samples.x[:, [self._mode.moving[k].x for k in self._driven]].T
-        gaps = self._sides[:, None] * (x - self._positions[:, None]) + self._margins[:, None]
+        """Return the gaps of prescribed joints and the reactions of resting ones, (E, T)."""
+        samples = self._flow.samples(t, segment.at(t), segment.parameters)
+        x = samples.x[:, [self._mode.moving[k].x for k in self._driven]].T
+        gaps = self._sides[self._driven, None] * x + self._offsets[self._driven, None]
         if not self._mode.rest:
             return gaps
-        samples = self._flow.samples(t, y, segment.parameters)
         reactions = reactions_of(self._plan, self._mode.rest, t, samples, self._numbers)
         return np.vstack([gaps, reactions.T + self._cling])
+
+
+@cache
+def bernstein(degree: int) -> tuple[Array, Array]:
+    """Return nodes in [0, 1] and the matrix from values there to Bernstein coefficients.
+
+    Args:
+        degree: Degree of the polynomials.
+    Returns:
+        Nodes, (degree + 1,), and the matrix, (degree + 1, degree + 1).
+    """
+    nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)
+    basis = [
+        comb(degree, k) * nodes**k * (1.0 - nodes) ** (degree - k) for k in range(degree + 1)
+    ]
+    return nodes, np.linalg.inv(np.array(basis).T)
+
+
+def first_root(coefficients: Array) -> float | None:
+    """Return the first point of [0, 1] where a polynomial falls to zero, or None.
+
+    The polynomial is divided by de Casteljau's algorithm until one part has a single change of
+    sign. Bernstein coefficients of one sign exclude a root.
+
+    Args:
+        coefficients: Bernstein coefficients, (degree + 1,); the first one is positive.
+    Returns:
+        The root, or None.
+    """
+    parts = [(0.0, 1.0, coefficients)]
+    while parts:
+        a, b, c = parts.pop()
+        if (c > 0.0).all():
+            continue
+        middle = 0.5 * (a + b)
+        if not a < middle < b:
+            return a
+        changes = np.count_nonzero(np.diff(np.signbit(c)))
+        if changes == 1 and c[0] > 0.0 and c[-1] < 0.0 and b - a < _NEWTON:
+            return a + (b - a) * _polish(c)
+        left, right = _halves(c)
+        parts += [(middle, b, right), (a, middle, left)]
+    return None
+
+
+def _halves(c: Array) -> tuple[Array, Array]:
+    """Return the Bernstein coefficients of a polynomial on both halves of its interval."""
+    rows = [c]
+    while len(rows[-1]) > 1:
+        rows.append(0.5 * (rows[-1][:-1] + rows[-1][1:]))
+    return np.array([row[0] for row in rows]), np.array([row[-1] for row in rows[::-1]])
+
+
+def _polish(c: Array) -> float:
+    """Return the only root of a polynomial in [0, 1] by Brent's method."""
+    from scipy.optimize import brentq
+
+    degree = len(c) - 1
+    weights = c * [comb(degree, k) for k in range(degree + 1)]
+    coefficients = weights.tolist()
+
+    def value(s: float) -> float:
+        return sum(w * s**k * (1.0 - s) ** (degree - k) for k, w in enumerate(coefficients))
+
+    return float(brentq(value, 0.0, 1.0, xtol=1e-15))
 
 
 def reactions_of(plan: Plan, rest: Rest, t: Array, samples: Sample, numbers: Array) -> Array:
@@ -290,6 +384,11 @@ class _State:
     t: float
     flow: CompiledFlow
     y: Array
+
+    @cached_property
+    def values(self) -> tuple[Array, Array, Array]:
+        """Shape, its rate, and its canonical momenta."""
+        return self.flow.canonical_momenta(self.t, self.y)
 
 
 @dataclass(frozen=True)
@@ -375,7 +474,7 @@ class _Run:
     def _follow(self, phase: Phase) -> tuple[_State, _StopSearch | None]:
         """Integrate a phase to the next impact or release; without a search, it ends the motion."""
         flow, mode, t, y = phase.flow, phase.mode, phase.start, phase.flow.y0
-        cling = self._cling(flow, t, y)
+        cling = self._cling(flow, t, y) if mode.rest else 0.0
         if self.watch is not None:
             self.watch.flow = flow
         for stop in self.plan.stops[self.plan.stops > t].tolist():
@@ -384,7 +483,7 @@ class _Run:
             search = _StopSearch(self.plan, mode, flow, own, cling)
             segment = mode.integrate(t, stop, read_only(y), parameters, search.look)
             is_hit = search.look(segment)
-            parts = cut_at(search.found[0].t, segment, mode.integrate) if is_hit else [segment]
+            parts = cut_at(search.found[0][0], segment, mode.integrate) if is_hit else [segment]
             if not parts:
                 raise IntegrationError(
                     f"stops: '{self.system.name}' cannot leave its stop at t = {t:g} s. Increase "
@@ -408,15 +507,14 @@ class _Run:
 
     def _next(self, state: _State, mode: Mode, search: _StopSearch) -> Phase:
         """Return the phase after an impact or a release."""
-        x, xdot, _ = state.flow.canonical_momenta(state.t, state.y)
-        first, within = search.found[0].t, self.scene.rtol * self.scene.end
-        together = {root.event for root in search.found if root.t <= first + within}
-        count = len(mode.moving)
-        released = tuple(mode.rest[k - count] for k in together if k >= count)
+        x, xdot, _ = state.values
+        first, within = search.found[0][0], self.scene.rtol * self.scene.end
+        together = {bound for time, bound in search.found if time <= first + within}
+        released = tuple(bound for bound in mode.rest if bound in together)
         touching = []
-        for k, bound in enumerate(mode.moving):
+        for bound in mode.moving:
             u, gap = bound.sign * xdot[bound.v], self._gap(bound, x)
-            if k in together or gap <= 0.0 or (u < 0.0 and gap <= -u * within):
+            if bound in together or gap <= 0.0 or (u < 0.0 and gap <= -u * within):
                 touching.append(bound)
         self._refuse_driven(touching, state.t)
         return self._resolve(state, mode.rest, touching, released)
@@ -433,15 +531,14 @@ class _Run:
         self, state: _State, rest: Rest, touching: Sequence[Bound], released: Rest
     ) -> Phase:
         """Apply the impact at the stops that joints touch, and choose the joints that rest."""
-        x, xdot, pi = state.flow.canonical_momenta(state.t, state.y)
+        x, xdot, pi = map(np.copy, state.values)
         among = {*rest, *touching}
         bounds = tuple(bound for bound in self.bounds if bound in among)
         for bound in bounds:
             x[bound.x] = bound.position
         v, sign = [b.v for b in bounds], np.array([b.sign for b in bounds])
         rows = [self._rates.index(k) for k in v]
-        metric = self._reduction.split(x).reduced_metric[np.ix_(self._rates, self._rates)]
-        inverse = np.linalg.solve(metric, np.eye(len(metric))[:, rows])
+        inverse = self._inverse_metric(x, rows)
         G = sign[:, None] * inverse[rows] * sign
         small = _AT_REST * float(np.abs(xdot).max(initial=0.0))
         u = sign * xdot[v]
@@ -545,6 +642,20 @@ class _Run:
                 f"stops: '{self.system.name}' has more than {MOST_IMPACTS} impacts before "
                 f"t = {t:g} s. Increase rest_rate, or simulate a shorter time"
             )
+
+    def _inverse_metric(self, x: Array, columns: Sequence[int]) -> Array:
+        """Return columns of the inverse reduced metric of the rates that impacts change.
+
+        It is the block of the inverse mass matrix that belongs to these rates.
+        """
+        system, r = self.system, self.system.r
+        q = system.sorted_q(system.group.identity(), x)
+        upper = pin.crba(system.sorted_model, system.sorted_data, q)
+        kept = np.array([*range(r), *(r + k for k in self._rates)])
+        H = system.coupled_matrix(symmetric(upper))[np.ix_(kept, kept)]
+        unit = np.zeros((len(kept), len(columns)))
+        unit[r + np.array(columns), np.arange(len(columns))] = 1.0
+        return np.asarray(np.linalg.solve(H, unit)[r:])
 
     @staticmethod
     def _gap(bound: Bound, x: Array) -> float:

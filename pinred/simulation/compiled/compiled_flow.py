@@ -313,6 +313,10 @@ def kernel_of(
     Returns:
         The kernel; plans of the same structure and force expressions share it.
     """
+    if plan.scene.bounds:  # Runs with stops build kernels of their modes, whose scenes have none.
+        raise InputError(
+            "stops: only simulate and compare take stops. Omit them here, or call simulate"
+        )
     kind = plan.kind(zero_momentum=zero_momentum, generic=generic, all_momenta=all_momenta)
     system, structure, forces = kind.system, kind.structure, kind.forces
     # Texts have cached hashes, unlike structures.
