@@ -46,7 +46,7 @@ class Stop:
     At a stop, the joint bounces back with `restitution` times its rate. Without restitution, it
     comes to rest, and leaves the stop when the reaction of the stop would pull. Rebounds become
     shorter and shorter. If a rebound is slower than `rest_rate`, does not leave the stop by more
-    than the absolute tolerance, and the forces push the joint back, then the joint rests. The
+    than the tolerance of the scene, and the forces push the joint back, then the joint rests. The
     table of impacts contains the energy that this removes.
 
     Attributes:

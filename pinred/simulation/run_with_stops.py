@@ -47,7 +47,8 @@ from .sample import Sample, map_samples
 from .trajectory import Cost, Trajectory
 
 _CHUNK = 8  # Number of steps after which stops are first looked for.
-_ROUND_OFF = 16.0 * float(np.finfo(float).eps)
+_ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # of a position, relative
+_LEAST_GAP = 1e-18  # Smallest margin of a gap, which separates a joint that leaves its stop at zero.
 _CLINGING = 1e-12  # Pull of a stop that counts as round-off, relative to the kinetic energy per rad.
 _AT_REST = 1e-13  # Rate at a stop that counts as zero, relative to the largest rate.
 _NEWTON = 0.6  # Largest part of a step in which a single root is polished.
@@ -243,7 +244,7 @@ class _StopSearch(RootSearch):
         self._columns = [at[bounds[k].v] for k in self._polynomial]
         self._sides = np.array([bound.sign for bound in bounds])
         positions = np.array([bound.position for bound in bounds])
-        margins = _ROUND_OFF * np.maximum(1.0, np.abs(positions))
+        margins = np.array([margin_of(bound) for bound in bounds])
         self._offsets = margins - self._sides * positions
         self._nodes, self._bernstein = bernstein(plan.method.order)
         self.found: list[tuple[float, Bound]] = []
@@ -354,6 +355,11 @@ def _polish(c: Array) -> float:
         return sum(w * s**k * (1.0 - s) ** (degree - k) for k, w in enumerate(coefficients))
 
     return float(brentq(value, 0.0, 1.0, xtol=1e-15))
+
+
+def margin_of(bound: Bound) -> float:
+    """Return the gap that counts as contact [rad | m]."""
+    return max(_ROUND_OFF * abs(bound.position), _LEAST_GAP)
 
 
 def reactions_of(plan: Plan, rest: Rest, t: Array, samples: Sample, numbers: Array) -> Array:
@@ -564,28 +570,28 @@ class _Run:
         bounds, u, G = contact.bounds, contact.u, contact.G
         e = np.array([bound.stop.restitution for bound in bounds])
         slowest = np.array([bound.stop.rest_rate for bound in bounds])
+        positions = np.array([abs(bound.position) for bound in bounds])
+        allowed = self.scene.atol + self.scene.rtol * np.maximum(1.0, positions)
         usual = impulses(G, u, e)
-        after = _rates_after(G, u, e, usual)
-        slow = contact.may_rest & (after <= slowest) & (usual > 0.0)
+        rebound = np.where(usual > 0.0, -e * u, u + G @ usual)
+        slow = contact.may_rest & (rebound <= slowest)
         while True:
-            chosen = np.where(slow, 0.0, e)
-            impulse = impulses(G, u, chosen)
-            after = _rates_after(G, u, chosen, impulse)
-            candidates = np.flatnonzero(contact.may_rest & (after <= 0.0))
-            rates = xdot.copy()
-            rates[self._rates] += inverse @ (sign * impulse)
+            chosen, impulse, after = np.flatnonzero(slow), usual.copy(), rebound.copy()
+            block = G[np.ix_(chosen, chosen)]
+            if rebound[chosen].any():  # project the rates onto those of resting joints
+                removed = np.linalg.solve(block, -rebound[chosen])
+                impulse[chosen] += removed
+                after += G[:, chosen] @ removed
+            after[chosen] = 0.0
             resting = np.zeros(len(bounds), dtype=bool)
-            height = np.zeros(len(bounds))
-            if candidates.size:
-                rest = tuple(bounds[k] for k in candidates)
-                stays, back = self._stays(state, rest, G[np.ix_(candidates, candidates)], x, rates)
-                resting[candidates] = stays
-                u_slow = np.where(slow, e * np.maximum(-u, 0.0), 0.0)[candidates]
-                height[candidates] = u_slow**2 / (2.0 * np.maximum(back, 1e-300))
-            least = self.scene.atol + self.scene.rtol * np.array(
-                [max(1.0, abs(bound.position)) for bound in bounds]
-            )
-            leaves = slow & (e > 0.0) & ~(resting & (height <= least))
+            height = np.full(len(bounds), np.inf)
+            if chosen.size:
+                rates = xdot.copy()
+                rates[self._rates] += inverse @ (sign * impulse)
+                rest = tuple(bounds[k] for k in chosen)
+                resting[chosen], back = self._stays(state, rest, block, x, rates)
+                height[chosen] = rebound[chosen] ** 2 / (2.0 * np.maximum(back, 1e-300))
+            leaves = slow & (rebound > 0.0) & ~(resting & (height <= allowed))
             if not leaves.any():
                 return impulse, after, resting
             slow &= ~leaves
@@ -659,18 +665,12 @@ class _Run:
 
     @staticmethod
     def _gap(bound: Bound, x: Array) -> float:
-        margin = _ROUND_OFF * max(1.0, abs(bound.position))
-        return float(bound.sign * (x[bound.x] - bound.position)) - margin
-
-
-def _rates_after(G: Array, u: Array, e: Array, impulse: Array) -> Array:
-    """Return the rates after impulses, exact where Newton's law determines them."""
-    return np.where(impulse > 0.0, -e * u, u + G @ impulse)
+        return float(bound.sign * (x[bound.x] - bound.position)) - margin_of(bound)
 
 
 def _impact(t: float, contact: _Contact, impulse: Array, after: Array) -> Impact | None:
     """Return the rows of an impact; None without impulses."""
-    rows = np.flatnonzero(impulse > 0.0)
+    rows = np.flatnonzero(impulse)
     if not rows.size:
         return None
     bounds, u = [contact.bounds[k] for k in rows], contact.u[rows]

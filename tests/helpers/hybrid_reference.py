@@ -1,8 +1,9 @@
 """Motions with joint stops by full-state dynamics: an independent route to impacts and rests.
 
-The state is (q, v) of Pinocchio. Between impacts, `pin.aba` and SciPy's DOP853 integrate it. At an
-impact, H Δv = Σ λ_i e_i with the mass matrix of CRBA. Joints at rest have multipliers of the full
-equations of motion. Nothing of the reduction is used.
+The state is (q, v) of Pinocchio with the unwrapped position s of each rate. Between impacts,
+`pin.aba` and SciPy's DOP853 integrate it. At an impact, H Δv = Σ λ_i e_i with the mass matrix of
+CRBA. Joints at rest and followers have multipliers of the full equations of motion. Nothing of the
+reduction is used.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ def _quaternion_rate(c: Array, w: Array) -> Array:
 
 
 class HybridReference:
-    """The full-state simulation of a system with stops on hinges and slides (nq = nv = 1)."""
+    """The full-state simulation of a system with stops on hinges and slides."""
 
     def __init__(
         self,
@@ -82,16 +83,22 @@ class HybridReference:
         tolerance: float = 1e-12,
     ) -> None:
         self.model, self.data = system.model.copy(), system.model.createData()
-        if not np.allclose(system.gravity, 0.0):
-            pass  # gravity acts as the model states
         self.torque, self.tolerance = torque, tolerance
-        self.rows = []  # (name, q index, v index, sign, position, stop)
+        self.rows: list[tuple[str, int, float, float, pinred.Stop]] = []
         for name, stop in stops.items():
-            joint = self.model.joints[self.model.getJointId(name)]
-            assert joint.nq == 1
+            at = self.model.joints[self.model.getJointId(name)].idx_v
             for sign, position in ((1.0, stop.lower), (-1.0, stop.upper)):
                 if np.isfinite(position):
-                    self.rows.append((name, joint.idx_q, joint.idx_v, sign, position, stop))
+                    self.rows.append((name, at, sign, position, stop))
+        self.J = np.zeros((len(system.couplings), self.model.nv))
+        for row, coupling in zip(self.J, system.couplings, strict=True):
+            row[self.rate_of(coupling.follower)] = 1.0
+            for leader, ratio in coupling.ratios.items():
+                row[self.rate_of(leader)] -= ratio
+
+    def rate_of(self, name: str) -> int:
+        """Return the index of a joint's rate."""
+        return int(self.model.joints[self.model.getJointId(name)].idx_v)
 
     def tau(self, t: float, q: Array, v: Array) -> Array:
         return np.zeros(self.model.nv) if self.torque is None else self.torque(t, q, v)
@@ -101,12 +108,23 @@ class HybridReference:
     ) -> tuple[Array, Array]:
         """Return v̇ and the reactions at resting rows, away from the stops."""
         a = np.array(pin.aba(self.model, self.data, q, v, self.tau(t, q, v)))
+        if not (rest or len(self.J)):
+            return a, np.empty(0)
+        if len(self.J):
+            Hinv = np.linalg.inv(self.mass(q))
+            a = a - Hinv @ self.J.T @ np.linalg.solve(self.J @ Hinv @ self.J.T, self.J @ a)
         if not rest:
             return a, np.empty(0)
-        E = self.normals(rest)
-        Hinv = np.linalg.inv(self.mass(q))
-        reaction = np.linalg.solve(E @ Hinv @ E.T, -E @ a)
-        return a + Hinv @ E.T @ reaction, reaction
+        E, response = self.normals(rest), self.response(q)
+        reaction = np.linalg.solve(E @ response @ E.T, -E @ a)
+        return a + response @ E.T @ reaction, reaction
+
+    def response(self, q: Array) -> Array:
+        """Return the matrix from impulses to changes of v that keep followers coupled."""
+        inverse, J = np.linalg.inv(self.mass(q)), self.J
+        if not len(J):
+            return inverse
+        return inverse - inverse @ J.T @ np.linalg.solve(J @ inverse @ J.T, J @ inverse)
 
     def mass(self, q: Array) -> Array:
         upper = np.triu(pin.crba(self.model, self.data, q))
@@ -115,30 +133,41 @@ class HybridReference:
     def normals(self, rows: tuple[int, ...]) -> Array:
         E = np.zeros((len(rows), self.model.nv))
         for k, row in enumerate(rows):
-            E[k, self.rows[row][2]] = self.rows[row][3]
+            E[k, self.rows[row][1]] = self.rows[row][2]
         return E
 
-    def run(self, q: Array, v: Array, times: Array, most: int = 1000) -> HybridMotion:
-        """Integrate from 0 and return the motion at times, which end with the last one."""
+    def run(
+        self, q: Array, v: Array, positions: Mapping[str, float], times: Array, most: int = 1000
+    ) -> HybridMotion:
+        """Integrate from 0.
+
+        Args:
+            q: Initial configuration, (nq,).
+            v: Initial velocity, (nv,).
+            positions: Initial positions of the joints with stops.
+            times: Times of the states; the last one ends the motion.
+            most: Largest number of impacts.
+        """
         motion, t, rest = HybridMotion(), 0.0, tuple[int, ...]()
-        end, n, pending = float(times[-1]), self.model.nq, list(times)
+        end, n, nv, pending = float(times[-1]), self.model.nq, self.model.nv, list(times)
+        s = np.zeros(nv)
+        for name, position in positions.items():
+            s[self.rate_of(name)] = position
         motion.modes.append((0.0, ()))
         while t < end:
-            if len(motion.hits) > most:
-                raise AssertionError("too many impacts")
-            t, y, kinds = self._piece(t, np.concatenate([q, v]), rest, end, pending, motion)
-            q, v = y[:n], y[n:]
+            assert len(motion.hits) <= most, "too many impacts"
+            t, y, kinds = self._piece(t, np.concatenate([q, v, s]), rest, end, pending, motion)
+            q, v, s = np.split(y, [n, n + nv])
             if kinds is None:
                 break
-            q, v, rest = self._impact(t, q, v, rest, kinds, motion)
+            v, rest = self._impact(t, q, v, rest, kinds, motion)
         return motion
 
     def _gaps(self, y: Array, rest: tuple[int, ...], t: float) -> Array:
-        n = self.model.nq
-        gaps = np.array([sign * (y[at] - p) for _, at, _, sign, p, _ in self.rows])
+        q, v, s = np.split(y, [self.model.nq, self.model.nq + self.model.nv])
+        gaps = np.array([sign * (s[at] - p) for _, at, sign, p, _ in self.rows])
         values = np.where(np.isin(np.arange(len(gaps)), rest), 1.0, gaps)
-        _, reaction = self.accelerations(t, y[:n], y[n:], rest)
-        return np.concatenate([values, reaction])
+        return np.concatenate([values, self.accelerations(t, q, v, rest)[1]])
 
     def _piece(
         self,
@@ -149,13 +178,12 @@ class HybridReference:
         pending: list[float],
         motion: HybridMotion,
     ) -> tuple[float, Array, list[int] | None]:
-        n, model = self.model.nq, self.model
+        n, nv, model = self.model.nq, self.model.nv, self.model
 
-        def rate(s: float, z: Array) -> Array:
-            q, v = z[:n], z[n:]
-            return np.concatenate(
-                [configuration_rate(model, q, v), self.accelerations(s, q, v, rest)[0]]
-            )
+        def rate(r: float, z: Array) -> Array:
+            q, v = z[:n], z[n : n + nv]
+            acceleration = self.accelerations(r, q, v, rest)[0]
+            return np.concatenate([configuration_rate(model, q, v), acceleration, v])
 
         solver = DOP853(rate, t, y, end, rtol=max(self.tolerance, 3e-14), atol=self.tolerance)
         # Functions that begin at zero leave it: only later changes of sign count.
@@ -181,7 +209,7 @@ class HybridReference:
             while pending and pending[0] <= stop:
                 s = pending.pop(0)
                 motion.q.append(dense(s)[:n])
-                motion.v.append(dense(s)[n:])
+                motion.v.append(dense(s)[n : n + nv])
             if found:
                 kinds = [k for s, k in found if s <= stop + 1e-12]
                 return stop, dense(stop), kinds
@@ -196,46 +224,49 @@ class HybridReference:
         rest: tuple[int, ...],
         kinds: list[int],
         motion: HybridMotion,
-    ) -> tuple[Array, Array, tuple[int, ...]]:
+    ) -> tuple[Array, tuple[int, ...]]:
         count = len(self.rows)
         released = {rest[k - count] for k in kinds if k >= count}
         S = tuple(sorted({*rest, *(k for k in kinds if k < count)}))
-        E, H = self.normals(S), self.mass(q)
-        Hinv = np.linalg.inv(H)
+        E, H, response = self.normals(S), self.mass(q), self.response(q)
         u = E @ v
         u[np.isin(S, rest)] = 0.0
-        e = np.array([self.rows[k][5].restitution for k in S])
-        slow = np.array([self.rows[k][5].rest_rate for k in S])
-        G = E @ Hinv @ E.T
-        impulse = complementarity(G, (1.0 + e) * u)
-        after = u + G @ impulse
-        e = np.where((after < slow) & (impulse > 0.0), 0.0, e)
-        impulse = complementarity(G, (1.0 + e) * u)
-        new = v + Hinv @ E.T @ impulse
-        after = E @ new
+        e = np.array([self.rows[k][4].restitution for k in S])
+        slow = np.array([self.rows[k][4].rest_rate for k in S])
+        G = E @ response @ E.T
+        usual = complementarity(G, (1.0 + e) * u)
+        rebound = np.where(usual > 0.0, -e * u, u + G @ usual)
+        chosen = [k for k in range(len(S)) if rebound[k] < slow[k] and S[k] not in released]
+        while True:
+            # Slow rebounds become rest if the joints stay.
+            impulse, block = usual.copy(), G[np.ix_(chosen, chosen)]
+            impulse[chosen] -= np.linalg.solve(block, rebound[chosen])
+            new = v + response @ E.T @ impulse
+            may = tuple(S[k] for k in chosen)
+            for row in may:
+                new[self.rows[row][1]] = 0.0
+            a, _ = self.accelerations(t, q, new, ())
+            reaction = complementarity(block, self.normals(may) @ a)
+            leaves = [k for k, r in zip(chosen, reaction, strict=True) if not r > 0.0]
+            if not any(rebound[k] > 1e-13 for k in leaves):
+                break
+            chosen = [k for k in chosen if k not in leaves]
+        stay = tuple(k for k, r in zip(may, reaction, strict=True) if r > 0.0)
         lost = 0.5 * (v @ H @ v - new @ H @ new)
-        hit = np.flatnonzero(impulse > 0.0)
+        hit = np.flatnonzero(np.abs(impulse) > 1e-13 * np.abs(impulse).max(initial=1e-9))
         if hit.size:
             names = tuple(self.rows[S[k]][0] for k in hit)
-            signed = np.array([self.rows[S[k]][3] for k in hit]) * impulse[hit]
+            signed = np.array([self.rows[S[k]][2] for k in hit]) * impulse[hit]
             motion.hits.append(Hit(t, names, signed, lost))
-        may = tuple(k for k, rate in zip(S, after, strict=True) if rate < 1e-9 and k not in released)
-        stay = tuple[int, ...]()
-        if may:
-            for k in may:
-                new[self.rows[k][2]] = 0.0
-            a, _ = self.accelerations(t, q, new, ())
-            E = self.normals(may)
-            reaction = complementarity(E @ Hinv @ E.T, E @ a)
-            stay = tuple(k for k, r in zip(may, reaction, strict=True) if r > 0.0)
         if stay != rest:
             motion.modes.append((t, tuple(self.rows[k][0] for k in stay)))
-        return q, new, stay
+        return new, stay
 
 
 def complementarity(G: Array, q: Array) -> Array:
     """Solve w = G z + q ≥ 0, z ≥ 0, z · w = 0 by trying all sets of positive entries."""
-    K = len(q)
+    if not (K := len(q)):
+        return np.zeros(0)
     sets = chain.from_iterable(combinations(range(K), k) for k in range(K + 1))
     best, least = np.zeros(K), np.inf
     for chosen in map(list, sets):
