@@ -46,6 +46,8 @@ from .step_defects import (
     solve_stiff_steps,
     unresolved_forces,
 )
+from .stop_checks import StopChecks, check_stops
+from .stop_reference import Hit, StoppedFullState
 from .time_budget import AbaStopped, TimeBudget, default_budget
 from .verdict import Report, Verdict
 
@@ -137,7 +139,7 @@ def _compare(
     evenly = np.linspace(0.0, scene.end, SAMPLES)
     times = np.union1d(traj.t, evenly) if everywhere else traj.t
     states = traj(times)
-    full = FullState(scene, traj.motion.replay, budget)
+    full = _full_state(traj, budget)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     between = "errors between report times of stiff motion are above their bounds; use Radau"
     stopped: tuple[str, ...] = () if everywhere else (between,)
@@ -188,6 +190,10 @@ def _compare(
             decaying, rates[reported], bounds.relative[:count][reported], tolerance
         ),
     )
+    stops = StopChecks((), ())
+    if isinstance(full, StoppedFullState):
+        hits, until = solutions.hits, solutions.until
+        stops = check_stops(traj, full, hits, until, times, bounds.relative)
     audit = audit_trajectory(traj, states)
     drift_bound = max(DRIFT_BOUND * tolerance, 2.0 * bounds.total_defect)
     if (solutions.stiff or decaying.steps) and not max(audit.energy, audit.momentum) <= drift_bound:
@@ -226,10 +232,11 @@ def _compare(
         reference_bound=min(REFERENCE_BOUND * tolerance * growth_at_last, INFORMATIVE),
         growth=growth,
         told=count,
-        reasons=(*reasons, *(stopped or explain_rest(reference, size))),
+        reasons=(*stops.reasons, *reasons, *(stopped or explain_rest(reference, size))),
         wall_reduced=traj.run.wall,
         wall_full=solutions.wall,
         left_out=scene.left_out,
+        stop_checks=stops.checks,
         loop_gap=loops.gap,
         loop_rate=loops.rate,
         rate_error=max(decaying.rates, float(rates.max(initial=0.0))) if decaying.steps else 0.0,
@@ -247,6 +254,8 @@ class _Solutions:
         errors: Errors of the reference over time, relative to the motion, (T,).
         wall: Wall time at the scene's tolerance [s].
         stiff: Whether the reference is that of an implicit method.
+        hits: Impacts of the reference at joint stops.
+        until: Time of the first impact that a small perturbation changes, or inf [s].
     """
 
     reference: FullMotion
@@ -255,6 +264,19 @@ class _Solutions:
     errors: Array
     wall: float
     stiff: bool = False
+    hits: tuple[Hit, ...] = ()
+    until: float = np.inf
+
+
+def _full_state(traj: Trajectory, budget: TimeBudget) -> FullState:
+    """Return the full simulation of a trajectory's scene."""
+    if not traj.scene.bounds:
+        return FullState(traj.scene, traj.motion.replay, budget)
+
+    def locked(t: float) -> tuple[int, ...]:
+        return next(iter(traj.motion.locked(np.array([t]))))[0]
+
+    return StoppedFullState(traj.scene, locked, budget)
 
 
 def _integrate_with_aba(
@@ -266,6 +288,8 @@ def _integrate_with_aba(
     progress: Progress,
 ) -> _Solutions:
     rtol, atol = traj.scene.rtol, traj.scene.atol
+    if isinstance(full, StoppedFullState):
+        return _integrate_with_stops(full, y0, times, rtol, atol)
     units = defect_units(traj, full)[1]
     began = time.perf_counter()
     try:
@@ -280,6 +304,25 @@ def _integrate_with_aba(
             return _integrate_stiff(full, y0, times, tolerance, units)
         except AbaStopped:
             raise stop from None
+
+
+def _integrate_with_stops(
+    full: StoppedFullState, y0: Array, times: Array, rtol: float, atol: float
+) -> _Solutions:
+    """Return the solutions of a scene with joint stops, by SciPy's DOP853."""
+    began = time.perf_counter()
+    looser = full.solve_with_stops(y0, times, rtol / 10.0, atol / 10.0)
+    wall = time.perf_counter() - began
+    tight = min(rtol / TIGHTER, COARSEST[0]), min(atol / TIGHTER, COARSEST[1])
+    solution = full.solve_with_stops(y0, times, *tight)
+    fine = max(tight[0], GROWTH_TOLERANCE), max(tight[1], 1e-2 * GROWTH_TOLERANCE)
+    growth, until = full.growth_with_stops(y0, solution, times, *fine)
+    size = full.size(solution.motion)
+    errors = full.distance(solution.motion, looser.motion).relative(size)
+    return _Solutions(
+        solution.motion, solution.states, growth, errors, wall,
+        hits=tuple(solution.hits), until=until,
+    )  # fmt: skip
 
 
 def _integrate_explicitly(

@@ -13,15 +13,13 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from itertools import pairwise
 from math import comb
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array, read_only
-from ..common.errors import InputError, IntegrationError, UnsupportedOperationError
+from ..common.errors import InputError, IntegrationError
 from ..common.names import listed
 from ..common.progress import Progress
 from ..forces.tracking import PD, ComputedTorque
@@ -32,18 +30,17 @@ from ..scene.option_checks import list_forces
 from ..scene.scene import Scene
 from ..scene.stop import Bound
 from ..system.coordinates import Indices
-from ..system.state_fields import ShapeState, State, map_arrays
+from ..system.state_fields import ShapeState, State
 from .balances import driving_torques
 from .compiled.compiled_flow import CompiledFlow
 from .compiled.integrator import integrator
-from .control import Replay
 from .events import RootSearch, Watch, cut_at
 from .impacts import Impact, ImpactTable, impulses, solve_complementarity, table_of
 from .integrate_plan import Again, trajectory_of_motion
-from .motion import Changes, Motion
+from .motion import Motion
 from .plan import Plan, plan_of
 from .reduced_flow import Integrate, ReducedFlow, Segment
-from .sample import Sample, map_samples
+from .sample import Sample
 from .trajectory import Cost, Trajectory
 
 _CHUNK = 8  # Number of steps after which stops are first looked for.
@@ -105,7 +102,8 @@ class Phase:
 class StoppedMotion(Motion):
     """A motion with stops: segments of several flows.
 
-    At the time of an impact, the state is that before it.
+    At the time of an impact, the state is that before it. Force parameters are those of the scene,
+    without locked joints.
     """
 
     def __init__(self, phases: Sequence[Phase], before: CompiledFlow, watch: Watch | None) -> None:
@@ -120,6 +118,8 @@ class StoppedMotion(Motion):
             before, [segment for p in phases for segment in p.segments], varies=True, watch=watch
         )
         self._phases, self._before = phases, before
+        # Reduced states of all modes are filled up with zeros to one length.
+        self._width = max(len(phase.flow.y0) for phase in phases)
         self._of_segment = [phase for phase in phases for _ in phase.segments]
         self._own_numbers = [numbers for phase in phases for numbers in phase.numbers]
 
@@ -150,61 +150,24 @@ class StoppedMotion(Motion):
         return tuple(modes)
 
     @property
-    def replay(self) -> Replay:
-        """The force parameters of the scene in each segment."""
-        return Replay(self.segments.ends, self._own_numbers)
+    def step_spans(self) -> tuple[Array, Array]:
+        """Starts and ends of all steps; see Motion.step_spans."""
+        starts = self.knots[:-1].copy()
+        jumps = np.isin(starts, [phase.start for phase in self._phases])
+        starts[jumps] = np.nextafter(starts[jumps], np.inf)
+        return starts, self.knots[1:]
 
     def flow_of(self, k: int) -> ReducedFlow:
         """Return the flow of segment k."""
         return self._of_segment[k].flow
 
-    def reduced(self, t: Array) -> Array:  # noqa: ARG002
-        """Reject the request: reduced states of several modes differ in their entries."""
-        raise UnsupportedOperationError(
-            "reduced states of a motion with stops differ in their entries; use its full states"
-        )
-
-    def changes(self, t: Array) -> Changes:
-        """Reject the request; see `reduced`."""
-        return Changes(self._which(t), self.reduced(t), t)
-
-    def states(self, t: Array) -> State | ShapeState:
-        """Return the full states at times (T,)."""
-        parts, order = [], []
-        for k, rows in self._by_number(t):
-            y, parameters = self.segments[k].at(t[rows]), self.segments[k].parameters
-            parts.append(self._of_segment[k].flow.states(t[rows], y, parameters))
-            order.append(rows)
-        inverse_order = np.argsort(np.concatenate(order))
-        return map_arrays(lambda *columns: np.concatenate(columns)[inverse_order], *parts)
-
-    def samples(self, t: Array) -> tuple[Sample, Array]:
-        """Return the states at times (T,) that forces depend on, and force parameters, (T, p)."""
-        parts, order = [], []
-        for k, rows in self._by_number(t):
-            y, parameters = self.segments[k].at(t[rows]), self.segments[k].parameters
-            parts.append(self._of_segment[k].flow.samples(t[rows], y, parameters))
-            order.append(rows)
-        inverse_order = np.argsort(np.concatenate(order))
-        samples = map_samples(lambda columns: np.concatenate(columns)[inverse_order], parts)
-        return samples, np.array(self.numbers(t)).reshape(len(t), -1)
-
-    def numbers(self, t: Array) -> list[Array]:
-        """Return the force parameters (p,) of the scene at each of times (T,)."""
-        return [self._own_numbers[k] for k in self._which(t)]
+    def _numbers(self, k: int) -> Array:
+        return self._own_numbers[k]
 
     def locked(self, t: Array) -> Iterator[tuple[tuple[int, ...], Indices]]:
         """Yield the rates of the joints at rest; see Motion.locked."""
-        for k, rows in self._by_number(t):
+        for k, rows in self._by_segment(self._which(t)):
             yield tuple(bound.v for bound in self._of_segment[k].mode.rest), rows
-
-    def _by_number(self, t: Array) -> Iterator[tuple[int, Indices]]:
-        """Yield the index of each segment that contains some of times (T,), with their indices."""
-        which = self._which(t)
-        order = np.argsort(which, kind="stable")
-        firsts = np.flatnonzero(np.diff(which[order], prepend=-1))
-        for first, last in pairwise([*firsts.tolist(), len(order)]):
-            yield int(which[order[first]]), order[first:last]
 
 
 def momentum_of(state: State | ShapeState, flow: CompiledFlow) -> Array:

@@ -200,8 +200,12 @@ class HybridReference:
                 values = self._gaps(dense(s), rest, s)
                 for k in np.flatnonzero((values < 0.0) & (before > 0.0)):
                     at = lambda r, k=k: self._gaps(dense(r), rest, r)[k]
-                    low = earlier if at(earlier) > 0.0 else earlier + 1e-3 * (s - earlier)
-                    found.append((brentq(at, low, s, xtol=1e-15, rtol=1e-14), int(k)))
+                    # A gap that begins at zero is positive soon afterwards.
+                    low = next(
+                        (r for r in (earlier, *np.linspace(earlier, s, 33)[1:-1]) if at(r) > 0.0), s
+                    )
+                    root = brentq(at, low, s, xtol=1e-15, rtol=1e-14) if low < s else earlier
+                    found.append((root, int(k)))
                 if found:
                     break
                 before, earlier = np.where(values < 0.0, before, np.maximum(values, 1e-300)), s
