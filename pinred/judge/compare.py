@@ -46,8 +46,8 @@ from .step_defects import (
     solve_stiff_steps,
     unresolved_forces,
 )
-from .stop_checks import StopChecks, check_stops
-from .stop_reference import Hit, StoppedFullState
+from .stop_checks import StopChecks, check_stops, judgeable_until
+from .stop_reference import NEVER, Hit, StoppedFullState
 from .time_budget import AbaStopped, TimeBudget, default_budget
 from .verdict import Report, Verdict
 
@@ -153,7 +153,8 @@ def _compare(
         times = times[:1]
         initial = full.run(y0, times, rtol, atol)
         wall = time.perf_counter() - started
-        solutions = _Solutions(initial, y0[None], np.ones(1), np.zeros(1), wall)
+        until = 0.0 if scene.bounds else np.inf
+        solutions = _Solutions(initial, y0[None], np.ones(1), np.zeros(1), wall, until=until)
     progress(0.8)
     reference, growth = solutions.reference, solutions.growth
     defects = compute_defects(traj, full)
@@ -181,6 +182,12 @@ def _compare(
     motion = FullMotion(x=x[: len(times)], q=q[: len(times)])
     size, error = full.size(reference), full.distance(reference, motion)
     bounds = compute_error_bounds(traj, times, growth, defects, solutions.errors, size, tolerance)
+    until = judgeable_until(solutions.grazes, solutions.until, times, bounds.relative)
+    if until < np.inf:
+        growth[times >= until] = NEVER
+        bounds = compute_error_bounds(
+            traj, times, growth, defects, solutions.errors, size, tolerance
+        )
     count = count_informative_times(bounds.relative, growth)
     rates = compute_rate_errors(traj, full, states, solutions.states)[:count]
     reported = np.isin(times[:count], traj.t)
@@ -192,8 +199,7 @@ def _compare(
     )
     stops = StopChecks((), ())
     if isinstance(full, StoppedFullState):
-        hits, until = solutions.hits, solutions.until
-        stops = check_stops(traj, full, hits, until, times, bounds.relative)
+        stops = check_stops(traj, full, solutions.hits, until, times, bounds.relative)
     audit = audit_trajectory(traj, states)
     drift_bound = max(DRIFT_BOUND * tolerance, 2.0 * bounds.total_defect)
     if (solutions.stiff or decaying.steps) and not max(audit.energy, audit.momentum) <= drift_bound:
@@ -255,6 +261,7 @@ class _Solutions:
         wall: Wall time at the scene's tolerance [s].
         stiff: Whether the reference is that of an implicit method.
         hits: Impacts of the reference at joint stops.
+        grazes: Grazing impacts of the reference, see HybridSolution.
         until: Time of the first impact that a small perturbation changes, or inf [s].
     """
 
@@ -265,6 +272,7 @@ class _Solutions:
     wall: float
     stiff: bool = False
     hits: tuple[Hit, ...] = ()
+    grazes: tuple[tuple[float, float], ...] = ()
     until: float = np.inf
 
 
@@ -321,7 +329,7 @@ def _integrate_with_stops(
     errors = full.distance(solution.motion, looser.motion).relative(size)
     return _Solutions(
         solution.motion, solution.states, growth, errors, wall,
-        hits=tuple(solution.hits), until=until,
+        hits=tuple(solution.hits), grazes=tuple(solution.grazes), until=until,
     )  # fmt: skip
 
 

@@ -37,6 +37,22 @@ class StopChecks:
     reasons: tuple[str, ...]
 
 
+def judgeable_until(
+    grazes: Sequence[tuple[float, float]], until: float, times: Array, bounds: Array
+) -> float:
+    """Return the time until which errors of positions do not add or remove impacts [s].
+
+    Args:
+        grazes: Times of grazing impacts and near misses; see HybridSolution.
+        until: Time of the first impact that a small perturbation changes [s].
+        times: Times of the comparison, (T,) [s].
+        bounds: Bounds on relative errors of positions at these times, (T,).
+    """
+    at = np.minimum(np.searchsorted(times, [t for t, _ in grazes]), len(bounds) - 1)
+    undecided = [t for (t, margin), k in zip(grazes, at, strict=True) if margin <= bounds[k]]
+    return min([until, *undecided])
+
+
 def check_stops(
     traj: Trajectory,
     full: StoppedFullState,
@@ -51,7 +67,7 @@ def check_stops(
         traj: The trajectory.
         full: Full simulation of its scene.
         hits: Impulses of the reference.
-        until: Time of the first impact that a small perturbation changes [s].
+        until: Time until which impacts can be judged [s].
         times: Times of the comparison, (T,) [s].
         bounds: Bounds on relative errors of positions at these times, (T,).
     Returns:
@@ -72,16 +88,15 @@ def check_stops(
     pairs, differs = matched(own, hits, slowest)
     if until < np.inf:
         reasons.append(
-            f"impacts can be judged until t = {until:g} s only: a small change of the initial "
-            "state changes which joints hit their stops, or in which order; compare a shorter "
-            "motion"
+            f"impacts can be judged until t = {until:g} s only: there, a small change of the "
+            "initial state changes which joints hit their stops, or in which order; compare a "
+            "shorter motion, or a tighter tolerance"
         )
     pairs = [(a, b) for a, b in pairs if b.t < until]
     if differs < min(until, traj.scene.end):
-        near = [h for h in (*own, *hits) if abs(h.t - differs) <= 3.0 * time_bound(h) + 1e-12]
-        if len({(h.joint, h.side) for h in near}) > 1 or any(
-            traj.scene.end - h.t <= time_bound(h) for h in near
-        ):
+        near = [h for h in hits if abs(h.t - differs) <= 2.0 * time_bound(h)]
+        late = [h for h in (*own, *hits) if traj.scene.end - h.t <= 2.0 * time_bound(h)]
+        if len({(h.joint, h.side) for h in near}) > 1 or any(h.t == differs for h in late):
             reasons.append(
                 f"the order of the impacts at t = {differs:g} s cannot be told: they are closer "
                 "than the errors of both motions; compare a tighter tolerance"

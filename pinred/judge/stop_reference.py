@@ -27,7 +27,7 @@ from .time_budget import AbaStopped, TimeBudget
 _LEAST_RTOL = 2.3e-14  # tightest relative tolerance of SciPy's DOP853
 _SAMPLES = 16  # number of times in a step at which gaps and reactions are evaluated
 _MOST_TRIED = 12  # largest number of stops for which all sets of impulses are tried
-_NEVER = 1e300  # growth of perturbations after they change the order of impacts
+NEVER = 1e300  # growth of perturbations after they change the order of impacts
 
 Rows = tuple[int, ...]
 
@@ -82,11 +82,14 @@ class HybridSolution:
         motion: The motion at the requested times.
         states: Full states at these times, (T, n).
         hits: Impulses, in order of time.
+        grazes: Times [s] just before minima of gaps and slow impacts, with the change of position
+            that adds or removes an impact [rad | m].
     """
 
     motion: FullMotion
     states: Array
     hits: list[Hit]
+    grazes: list[tuple[float, float]]
 
 
 class StoppedFullState(FullState):
@@ -202,7 +205,7 @@ class StoppedFullState(FullState):
         """
         run = _HybridRun(self, times, rtol, atol)
         run.integrate(y0)
-        return HybridSolution(self._motion(run.states), run.states, run.hits)
+        return HybridSolution(self._motion(run.states), run.states, run.hits, run.grazes)
 
     def growth_with_stops(
         self, y0: Array, solution: HybridSolution, times: Array, rtol: float, atol: float
@@ -227,7 +230,6 @@ class StoppedFullState(FullState):
         distance = self.distance(solution.motion, other.motion).relative(self.size(solution.motion))
         growth = np.maximum.accumulate(np.maximum(1.0, distance / PERTURBATION))
         until = first_difference(solution.hits, other.hits, self.slowest)
-        growth[times >= until] = _NEVER
         return growth, until
 
     @property
@@ -243,6 +245,8 @@ class _HybridRun:
         self.full, self.times, self.end = full, times, float(times[-1])
         self.rtol, self.atol = max(rtol, _LEAST_RTOL), atol
         self.hits: list[Hit] = []
+        self.grazes: list[tuple[float, float]] = []
+        self._recent: list[tuple[float, Array, Rows]] = []
         self.states = np.empty((len(times), 0))
 
     def integrate(self, y: Array) -> None:
@@ -310,6 +314,7 @@ class _HybridRun:
             samples = np.linspace(solver.t_old, solver.t, _SAMPLES + 1)[1:].tolist()
             for s in samples:
                 values = self._functions(s, dense(s), rest)
+                self._find_minima(s, values, rest)
                 crossed = np.flatnonzero((values < 0.0) & (was > 0.0))
                 for k in crossed.tolist():
                     def value(r: float, k: int = k) -> float:
@@ -330,16 +335,35 @@ class _HybridRun:
             if solver.status == "finished":
                 return float(solver.t), solver.y, []
 
+    def _find_minima(self, t: float, values: Array, rest: Rows) -> None:
+        """Store the minima of gaps, by parabolas through three samples of one mode."""
+        count = len(self.full.rows)
+        self._recent = [each for each in self._recent if each[2] == rest][-2:]
+        self._recent.append((t, values[:count], rest))
+        if len(self._recent) < 3:
+            return
+        (a, first, _), (b, second, _), (c, third, _) = self._recent
+        for k in np.flatnonzero((second < first) & (second < third) & (second > 0.0)).tolist():
+            curve = np.polyfit([a - b, 0.0, c - b], [first[k], second[k], third[k]], 2)
+            least = float(second[k] - curve[1] ** 2 / (4.0 * curve[0]))
+            self.grazes.append((2.0 * a - c, max(least, 0.0)))
+
     def _impact(
         self, t: float, y: Array, rest: Rows, touching: Rows, released: Rows
     ) -> tuple[Array, Rows]:
         """Return the state after an impact or a release, and the joints that rest."""
         full, y = self.full, y.copy()
         first, S = len(y) - full._model.nv, tuple(sorted({*rest, *touching}))
+        self._recent.clear()
+        rates = full.rate(t, y)[first:]
         v, rows = y[first:], [full.rows[k] for k in S]
         normals, response = full._normals(S), full._response(full.q(y))
         G, u = normals @ response @ normals.T, normals @ v
         u[[k in rest for k in S]] = 0.0
+        for k in touching:  # the depth that the joint would reach without its stop
+            speed, pull = normals[S.index(k)] @ v, normals[S.index(k)] @ rates
+            if speed < 0.0 < pull and -speed > self.full.slowest:
+                self.grazes.append((float(t + 2.0 * speed / pull), float(speed**2 / (2.0 * pull))))
         e = np.array([row.stop.restitution for row in rows])
         usual = complementary(G, (1.0 + e) * u)
         rebound = np.where(usual > 0.0, -e * u, u + G @ usual)

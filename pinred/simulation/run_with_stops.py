@@ -393,7 +393,7 @@ class _Run:
         )
         # Rates that impacts change, and the index of each rate among them.
         self._rates = list(plan.acting.free)
-        self._impacts = 0
+        self._impacts, self.building = 0, 0.0
         watched = self.scene.watched
         self.watch = None if watched is None else Watch(self.scene, self.first, watched)
 
@@ -404,12 +404,14 @@ class _Run:
         """Return a mode, built at its first use."""
         mode = self._modes.get(rest)
         if mode is None:
+            began = time.perf_counter()
             locked = {bound.v for bound in rest}
             plan = self._limited(self._locked(rest))
             flow = self.first.in_mode(plan)
             moving = tuple(bound for bound in self.bounds if bound.v not in locked)
             integrate = integrator(flow, plan, self.progress, chunk=_CHUNK)
             mode = self._modes[rest] = Mode(rest, moving, flow, integrate)
+            self.building += time.perf_counter() - began
         return mode
 
     def _locked(self, rest: Rest) -> Scene:
@@ -665,7 +667,7 @@ def run_with_stops(plan: Plan, progress: Progress | None, again: Again) -> Traje
     run = _Run(plan, progress)
     started = time.perf_counter()
     motion = run.motion()
-    wall = time.perf_counter() - started
+    wall = time.perf_counter() - started - run.building  # kernels are built once
     cost = Cost(
         "compiled", plan.method.name, motion.steps, motion.evaluations, wall, plan.notices
     )
