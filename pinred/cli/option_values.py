@@ -108,12 +108,12 @@ def spring_in(text: str) -> tuple[float, float]:
     return stiffness, rest
 
 
-def stop_in(text: str) -> dict[str, float]:
-    """Parse a text LOWER,UPPER or LOWER,UPPER,RESTITUTION into a stop.  Raises ValueError."""
-    lower, upper, *restitution = floats_in(text)
-    if len(restitution) > 1:
+def stop_in(text: str) -> list[float]:
+    """Parse a text LOWER,UPPER or LOWER,UPPER,RESTITUTION.  Raises ValueError."""
+    numbers = floats_in(text)
+    if len(numbers) not in (2, 3):
         raise ValueError
-    return {"lower": lower, "upper": upper, "restitution": sum(restitution)}
+    return numbers
 
 
 def lock_in(text: str, option: str) -> dict[str, float | list[float]]:

@@ -6,7 +6,7 @@ Internally, every stop bounds an independent joint: the stop of a follower is mo
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import InputError
-from ..common.names import brief, nearest, quoted
+from ..common.names import brief, listed, nearest, quoted
 from ..system.stated_limits import limits_of
 from ..system.system import System
 from ..system.urdf_elements import UNLIMITED
@@ -34,7 +34,7 @@ STOP_TABLE = Table(
     },
     "a stop",
 )  # fmt: skip
-STOPS = Either((Text((FILE,)), ByName(Either((ListOf(NUMBER, 2), STOP_TABLE)))))
+STOPS = Either((Text((FILE,)), ByName(Either((ListOf(NUMBER), STOP_TABLE)))))
 _WITHIN = 1e-12  # Distance beyond a stop that counts as round-off of an initial shape [rad | m].
 
 
@@ -69,11 +69,11 @@ class Stop:
             object.__setattr__(self, name, float(value))
         if not self.lower < self.upper:
             raise InputError(
-                f"stops: expected lower < upper, got {self.lower:g} and {self.upper:g}. Swap them, "
+                f"expected lower < upper, got {self.lower:g} and {self.upper:g}. Swap them, "
                 "or lock the joint when the robot is loaded (lock=)"
             )
         if math.isinf(self.lower) and math.isinf(self.upper):
-            raise InputError("stops: expected a finite lower or upper stop. Omit the joint instead")
+            raise InputError("expected a finite lower or upper stop, got none. Omit the joint instead")
         if not 0.0 <= self.restitution <= 1.0:
             raise InputError(
                 f"restitution: expected a number from 0 (rest) to 1 (no loss), got "
@@ -118,7 +118,7 @@ def parse_stops(value: Any, system: System) -> dict[str, Stop]:
     """Convert the option `stops`.
 
     Args:
-        value: None, "file", or {joint: Stop, or (lower, upper)}.
+        value: None, "file", or {joint: Stop, (lower, upper) or (lower, upper, restitution)}.
         system: The system.
     Returns:
         {joint: its stops}, in the order of the robot's joints; empty for None.
@@ -132,7 +132,7 @@ def parse_stops(value: Any, system: System) -> dict[str, Stop]:
         value = _stops_of_file(value, system)
     if not isinstance(value, Mapping):
         raise InputError(
-            f"stops: expected 'file' or {{joint: Stop or (lower, upper)}}, got {brief(value)}"
+            f"stops: expected 'file', or {{joint: Stop or (lower, upper)}}, got {brief(value)}"
         )
     if value and system.loops:
         raise InputError(
@@ -144,7 +144,10 @@ def parse_stops(value: Any, system: System) -> dict[str, Stop]:
     for name, entry in value.items():
         if not isinstance(name, str) or name not in joints:
             hint = nearest(str(name), list(joints))
-            raise InputError(f"stops: '{system.name}' has no joint {quoted(str(name))}; {hint}")
+            raise InputError(
+                f"stops: '{system.name}' has no joint {quoted(str(name))}; {hint}its joints are "
+                f"{listed(list(joints), 8)}"
+            )
         if joints[name].kind.is_ball:
             raise InputError(
                 f"stops: expected hinges and slides, got ball joint {quoted(name)}. Load it as "
@@ -221,16 +224,14 @@ def _stop_of(entry: Any, name: str) -> Stop:
     """Return the stops of one joint."""
     if isinstance(entry, Stop):
         return entry
-    try:
-        if isinstance(entry, Mapping):
-            return Stop(**entry)
-        lower, upper = entry
-    except (TypeError, ValueError):
+    numbers = list(entry) if isinstance(entry, Sequence) and not isinstance(entry, str) else []
+    if len(numbers) not in (2, 3):
         raise InputError(
-            f"stops['{name}']: expected a Stop or (lower, upper), got {brief(entry)}"
-        ) from None
+            f"stops['{name}']: expected a Stop, (lower, upper) or (lower, upper, restitution), "
+            f"got {brief(entry)}"
+        )
     try:
-        return Stop(lower, upper)
+        return Stop(*numbers)
     except InputError as error:
         raise InputError(f"stops['{name}']: {error}") from None
 
@@ -239,7 +240,7 @@ def _stops_of_file(value: str, system: System) -> dict[str, Stop]:
     """Return the position limits of the robot's file as stops without restitution."""
     if value != FILE:
         raise InputError(
-            f"stops: expected 'file' or {{joint: Stop or (lower, upper)}}, got {brief(value)}"
+            f"stops: expected 'file', or {{joint: Stop or (lower, upper)}}, got {brief(value)}"
         )
     stops = {}
     for limit in limits_of(system):
