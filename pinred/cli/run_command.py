@@ -85,6 +85,8 @@ def summary(traj: Trajectory) -> str:
         ("steps", f"{run.steps} of {run.method} ({run.engine}), {run.evaluations} evaluations"),
         ("wall time [s]", f"{run.wall:.5f}"),
     ]
+    if scene.bounds:
+        lines.append(("impacts", describe_impacts(traj)))
     lines += [(f"event {name}", text) for name, text in describe_events(traj)]
     if scene.left_out:
         lines.append(("left out", scene.left_out))
@@ -94,6 +96,15 @@ def summary(traj: Trajectory) -> str:
         lines.append(("energy, momentum", "no balance: outputs = 'shape' leaves out the base"))
     width = max(len(name) for name, _ in lines)
     return "\n".join([_title(scene), *(f"  {name:<{width}}  {text}" for name, text in lines)])
+
+
+def describe_impacts(traj: Trajectory) -> str:
+    """Return the number of impacts, their joints, and the energy that they remove, in words."""
+    table = traj.impacts
+    if not len(table):
+        return "none"
+    joints = listed(sorted(set(table.joint)), _TIMES)
+    return f"{len(table.times)} at stops of {joints}; {table.energy_lost.sum():.6g} J lost"
 
 
 def describe_events(traj: Trajectory) -> list[tuple[str, str]]:

@@ -7,8 +7,9 @@ reduced metric M.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -120,6 +121,46 @@ def table_of(impacts: Sequence[Impact], momenta: Array) -> ImpactTable:
         momentum_before=momenta[:, 0],
         momentum_after=momenta[:, 1],
     )
+
+
+_IN_FILES = "impact_"  # beginning of the names of a table's arrays in files
+
+
+def impact_arrays(table: ImpactTable) -> dict[str, Array]:
+    """Return the arrays of a table for a file, {name: array}; empty without impacts."""
+    if not len(table):
+        return {}
+    return {f"{_IN_FILES}{name}": np.array(column) for name, column in vars(table).items()}
+
+
+def table_in(content: Mapping[str, Any], r: int) -> ImpactTable:
+    """Return the table of impacts in the arrays of a file.
+
+    Args:
+        content: Arrays of a file by name.
+        r: Number of momentum components.
+    Returns:
+        The table; without rows if the file has no impacts.
+    Raises:
+        ValueError: An array is missing, or has the wrong shape or type.
+    """
+    if f"{_IN_FILES}t" not in content:
+        return no_impacts(r)
+    count, columns = np.size(content[f"{_IN_FILES}t"]), dict[str, Any]()
+    for name in ImpactTable.__dataclass_fields__:
+        values = np.asarray(content.get(f"{_IN_FILES}{name}"))
+        if name in ("joint", "side"):
+            if values.shape != (count,) or values.dtype.kind != "U":
+                raise ValueError(f"its impacts have no {name} of each")
+            columns[name] = tuple(map(str, values))
+            continue
+        shape = (count, r) if name.startswith("momentum") else (count,)
+        if values.shape != shape or values.dtype.kind != "f":
+            raise ValueError(f"its impacts have '{name}' of shape {values.shape}, not {shape}")
+        if not name.startswith("momentum") and not np.isfinite(values).all():
+            raise ValueError(f"its impacts have '{name}' that is not finite")
+        columns[name] = np.array(values)
+    return ImpactTable(**columns)
 
 
 def no_impacts(r: int) -> ImpactTable:

@@ -112,6 +112,11 @@ class Motion:
         """The impacts at joint stops; None without stops."""
         return None
 
+    @property
+    def modes(self) -> tuple[tuple[float, str], ...]:
+        """Start time [s] and name of each mode; one without joint stops."""
+        return ((0.0, "no joint at rest"),)
+
     def locked(self, t: Array) -> Iterator[tuple[tuple[int, ...], Indices]]:
         """Yield the indices of the rates that stops lock, with the indices of times (T,).
 

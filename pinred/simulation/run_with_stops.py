@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
+from itertools import pairwise
 from math import comb
 
 import numpy as np
@@ -49,6 +50,7 @@ _LEAST_GAP = 1e-18  # Smallest margin of a gap, which separates a joint that lea
 _CLINGING = 1e-12  # Pull of a stop that counts as round-off, relative to the kinetic energy per rad.
 _AT_REST = 1e-13  # Rate at a stop that counts as zero, relative to the largest rate.
 _NEWTON = 0.6  # Largest part of a step in which a single root is polished.
+_MOST_NEWTON, _SAME = 100, 1e-16  # Steps for a root, and the change at which it is found.
 MOST_IMPACTS = 100_000  # Largest number of impacts of one run.
 
 Rest = tuple[Bound, ...]
@@ -307,17 +309,33 @@ def _halves(c: Array) -> tuple[Array, Array]:
 
 
 def _polish(c: Array) -> float:
-    """Return the only root of a polynomial in [0, 1] by Brent's method."""
-    from scipy.optimize import brentq
+    """Return the only root of a polynomial in [0, 1] by Newton's method with bisection.
 
+    Args:
+        c: Bernstein coefficients; the first one is positive, the last one negative.
+    """
     degree = len(c) - 1
-    weights = c * [comb(degree, k) for k in range(degree + 1)]
-    coefficients = weights.tolist()
+    values, slopes = c.tolist(), (degree * np.diff(c)).tolist()
+    low, high, s = 0.0, 1.0, float(c[0] / (c[0] - c[-1]))
+    for _ in range(_MOST_NEWTON):
+        value = _at(values, s)
+        low, high = (s, high) if value > 0.0 else (low, s)
+        slope = _at(slopes, s)
+        new = s - value / slope if slope < 0.0 else low
+        if not low < new < high:
+            new = 0.5 * (low + high)
+        if abs(new - s) <= _SAME:
+            return new
+        s = new
+    return s
 
-    def value(s: float) -> float:
-        return sum(w * s**k * (1.0 - s) ** (degree - k) for k, w in enumerate(coefficients))
 
-    return float(brentq(value, 0.0, 1.0, xtol=1e-15))
+def _at(coefficients: list[float], s: float) -> float:
+    """Evaluate a polynomial at s from its Bernstein coefficients."""
+    row, r = coefficients, 1.0 - s
+    while len(row) > 1:
+        row = [r * a + s * b for a, b in pairwise(row)]
+    return row[0]
 
 
 def margin_of(bound: Bound) -> float:

@@ -96,6 +96,10 @@ def simulate(
         if done is None and engine == "compiled" and isinstance(plan.method, EqualSteps):
             done = _notice_of(plan.method, scene.end)
         trajectory = _simulated(plan, engine, done, check=check, checkpoint=file)
+    if explain and scene.bounds:
+        from .explain import explain_modes
+
+        print(explain_modes(trajectory))
     for notice in trajectory.run.notices:
         warnings.warn(notice, AccuracyWarning, stacklevel=3)
     beyond = excess_notice(trajectory.plan, trajectory.motion, trajectory.outputs)
