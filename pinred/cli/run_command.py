@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..common.errors import InputError
+from ..common.names import listed
 from .command_options import add_options, add_parameters, option_adder, parameters_in
 from .compare_command import print_comparison
 from .output_files import describe_file

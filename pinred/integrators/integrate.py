@@ -131,7 +131,8 @@ class Integration:
         run = begun_by(method, address, n, end, quaternions, canonical, keep=ENDS_KEPT)
         if stepper.needs_tangent:
             give_tangent(tangent, method, run)
-        self._registers, self._work, self._capacity = run.tobytes(), stepper.work(n), capacity or _FIRST_KNOTS
+        self._registers, self._work = run.tobytes(), stepper.work(n)
+        self._capacity = capacity or _FIRST_KNOTS
 
     def __call__(
         self,

@@ -14,8 +14,8 @@ import numpy as np
 from ..common.arrays import Array
 from ..simulation.impacts import ImpactTable
 from ..simulation.trajectory import Trajectory
-from .stop_reference import Hit, StoppedFullState, matched
 from .step_defects import defect_units, full_states
+from .stop_reference import Hit, StoppedFullState, matched
 
 MOMENTUM_BOUND = 1e-12  # largest change of momentum at an impact, relative to √(2mT)
 REACTION_BOUND = 1e-8  # largest pull of a stop, relative to the largest reaction
@@ -132,9 +132,7 @@ def _hits_of(table: ImpactTable) -> list[Hit]:
 
 
 def _position(full: StoppedFullState, hit: Hit) -> float:
-    return next(
-        row.position for row in full.rows if (row.joint, row.side) == (hit.joint, hit.side)
-    )
+    return next(row.position for row in full.rows if (row.joint, row.side) == (hit.joint, hit.side))
 
 
 def _closest(errors: list[tuple[float, float]]) -> tuple[float, float]:
@@ -158,7 +156,8 @@ def _momentum_jump(traj: Trajectory, full: StoppedFullState) -> float:
         unit = max(unit, float(np.sqrt(2.0 * full.totals.mass * kinetic)))
         reach = np.abs(y[:, : full.root.linear]).max(initial=0.0)
     radius = full.totals.radius_of_gyration(full.q(before)[0]) + reach
-    return float(np.abs(momenta[0] - momenta[1]).max(initial=0.0)) / (unit * max(1.0, radius))
+    jump = float(np.abs(momenta[0] - momenta[1]).max(initial=0.0))
+    return jump / (unit * max(1.0, float(radius)))
 
 
 def _beyond(traj: Trajectory, full: StoppedFullState, times: Array) -> tuple[float, float]:

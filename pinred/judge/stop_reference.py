@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, combinations
 
 import numpy as np
@@ -97,6 +98,7 @@ class StoppedFullState(FullState):
 
     Attributes:
         rows: The stops.
+        at_rest: Stops at which joints rest in an own integration; None for those of a trajectory.
     """
 
     def __init__(
@@ -114,7 +116,7 @@ class StoppedFullState(FullState):
         """
         super().__init__(replace(scene, stops=None), None, budget)
         self.rows = _rows_of(scene, self._size, self._r)
-        self._at_rest: Rows | None = None
+        self.at_rest: Rows | None = None
         self._rest_of = locked
         driven = np.zeros((len(self._driven), self._model.nv))
         driven[np.arange(len(self._driven)), self._r + np.array(self._driven, dtype=np.intp)] = 1.0
@@ -128,7 +130,7 @@ class StoppedFullState(FullState):
         if not len(normals):
             return rate
         first = len(rate) - self._model.nv
-        response = self._response(self.q(y))
+        response = self.response(self.q(y))
         block = normals @ response @ normals.T
         reaction = np.linalg.solve(block, -normals @ rate[first:])
         rate[first:] += response @ normals.T @ reaction
@@ -136,38 +138,65 @@ class StoppedFullState(FullState):
 
     def _normals_at(self, t: float) -> Array:
         """Return the rows of the velocities that are locked at a time, (K, nv)."""
-        if self._at_rest is not None:
-            return self._normals(self._at_rest)
+        if self.at_rest is not None:
+            return self.normals(self.at_rest)
         locked = list(self._rest_of(t))
         normals = np.zeros((len(locked), self._model.nv))
         normals[np.arange(len(locked)), self._leads[locked]] = 1.0
         return normals
 
-    def _normals(self, rows: Rows) -> Array:
+    @property
+    def scene(self) -> Scene:
+        """The scene, without its stops."""
+        return self._scene
+
+    @property
+    def nv(self) -> int:
+        """Number of velocities."""
+        return int(self._model.nv)
+
+    def limited_rate(self, t: float, y: Array, rest: Rows) -> Array:
+        """Return dy/dt with joints at rest; raise AbaStopped at the end of the budget."""
+        self.at_rest = rest
+        try:
+            return self._limited_rate(t, y)
+        finally:
+            self.at_rest = None
+
+    def set_span(self, t: float, end: float) -> float:
+        """Set the parameters of forces after a time; return the time to which they apply [s]."""
+        stop = next((float(stop) for stop in self._stops if stop > t), end)
+        if self._switches.size and self._forces is not None:
+            self._forces.set_span(self._parameters, time_within(t, stop))
+        return min(stop, end)
+
+    def normals(self, rows: Rows) -> Array:
+        """Return the directions away from stops, as rows of the velocities, (K, nv)."""
         normals = np.zeros((len(rows), self._model.nv))
         for k, row in enumerate(rows):
             normals[k, self.rows[row].v] = self.rows[row].sign
         return normals
 
-    def _mass_matrix(self, q: Array) -> Array:
+    def mass_matrix(self, q: Array) -> Array:
+        """Return Pinocchio's mass matrix at a configuration, (nv, nv)."""
         return symmetric(pin.crba(self._model, self.system.sorted_data, q))
 
-    def _response(self, q: Array) -> Array:
+    def response(self, q: Array) -> Array:
         """Return the matrix from generalised impulses to changes of the velocity, (nv, nv)."""
-        inverse, C = np.linalg.inv(self._mass_matrix(q)), self._constraints
+        inverse, C = np.linalg.inv(self.mass_matrix(q)), self._constraints
         if not len(C):
-            return inverse
+            return np.asarray(inverse)
         return np.asarray(inverse - inverse @ C.T @ np.linalg.solve(C @ inverse @ C.T, C @ inverse))
 
     def reactions(self, t: float, y: Array, rows: Rows) -> Array:
         """Return the reactions of stops at which joints rest, away from the stops, (K,)."""
-        self._at_rest = ()
+        self.at_rest = ()
         try:
             free = self.rate(t, y)[len(y) - self._model.nv :]
         finally:
-            self._at_rest = None
-        normals, response = self._normals(rows), self._response(self.q(y))
-        return np.linalg.solve(normals @ response @ normals.T, -normals @ free)
+            self.at_rest = None
+        normals, response = self.normals(rows), self.response(self.q(y))
+        return np.asarray(np.linalg.solve(normals @ response @ normals.T, -normals @ free))
 
     def resting(self, locked: Sequence[int], y: Array) -> Rows:
         """Return the stops at which the joints of locked rates rest, at a full state (n,)."""
@@ -188,9 +217,7 @@ class StoppedFullState(FullState):
         signs = np.array([row.sign for row in self.rows])
         return np.asarray(signs * (y[..., columns] - [row.position for row in self.rows]))
 
-    def solve_with_stops(
-        self, y0: Array, times: Array, rtol: float, atol: float
-    ) -> HybridSolution:
+    def solve_with_stops(self, y0: Array, times: Array, rtol: float, atol: float) -> HybridSolution:
         """Integrate from impact to impact.
 
         Args:
@@ -255,7 +282,7 @@ class _HybridRun:
         self.states = np.tile(y, (len(self.times), 1))
         rest: Rows = ()
         touching = tuple(np.flatnonzero(full.gaps(y) <= 1e-12).tolist())
-        self._set_parameters(0.0)
+        full.set_span(0.0, self.end)
         if touching:
             y, rest = self._impact(0.0, y, (), touching, ())
         while t < self.end:
@@ -265,15 +292,6 @@ class _HybridRun:
                 released = tuple(rest[k - count] for k in functions if k >= count)
                 touching = tuple(k for k in functions if k < count)
                 y, rest = self._impact(t, y, rest, touching, released)
-
-    def _set_parameters(self, t: float) -> float:
-        """Set the parameters of forces after a time; return the time to which they apply."""
-        full = self.full
-        stops = full._stops
-        stop = next((float(stop) for stop in stops if stop > t), self.end)
-        if full._switches.size and full._forces is not None:
-            full._forces.set_span(full._parameters, time_within(t, stop))
-        return min(stop, self.end)
 
     def _functions(self, t: float, y: Array, rest: Rows) -> Array:
         """Return gaps of moving joints, 1 for resting ones, and reactions of resting ones."""
@@ -287,23 +305,18 @@ class _HybridRun:
             return gaps
         return np.append(gaps, self.full.reactions(t, y, rest))
 
+    def _function(self, k: int, dense: Callable[[float], Array], rest: Rows, t: float) -> float:
+        return float(self._functions(t, dense(t), rest)[k])
+
     def _piece(self, t: float, y: Array, rest: Rows) -> tuple[float, Array, list[int]]:
         """Integrate to the next contact, release, switch of forces, or the end."""
         from scipy.integrate import DOP853
         from scipy.optimize import brentq
 
-        full, reach = self.full, self._set_parameters(t)
-        full._at_rest = rest
-        rate = full._limited_rate
-
-        def limited(s: float, z: Array) -> Array:
-            full._at_rest = rest
-            try:
-                return rate(s, z)
-            finally:
-                full._at_rest = None
-
-        solver = DOP853(limited, t, y, reach, rtol=self.rtol, atol=self.atol)
+        full, reach = self.full, self.full.set_span(t, self.end)
+        solver = DOP853(
+            lambda s, z: full.limited_rate(s, z, rest), t, y, reach, rtol=self.rtol, atol=self.atol
+        )
         before = self._functions(t, y, rest)
         was = np.where(np.abs(before) <= 1e-12 * (1.0 + np.abs(before).max()), 1.0, before)
         while True:
@@ -317,9 +330,7 @@ class _HybridRun:
                 self._find_minima(s, values, rest)
                 crossed = np.flatnonzero((values < 0.0) & (was > 0.0))
                 for k in crossed.tolist():
-                    def value(r: float, k: int = k) -> float:
-                        return float(self._functions(r, dense(r), rest)[k])
-
+                    value = partial(self._function, k, dense, rest)
                     low = next((r for r in np.linspace(earlier, s, 17)[:-1] if value(r) > 0.0), s)
                     root = brentq(value, low, s, xtol=1e-15, rtol=1e-14) if low < s else earlier
                     found.append((float(root), k))
@@ -353,11 +364,11 @@ class _HybridRun:
     ) -> tuple[Array, Rows]:
         """Return the state after an impact or a release, and the joints that rest."""
         full, y = self.full, y.copy()
-        first, S = len(y) - full._model.nv, tuple(sorted({*rest, *touching}))
+        first, S = len(y) - full.nv, tuple(sorted({*rest, *touching}))
         self._recent.clear()
         rates = full.rate(t, y)[first:]
         v, rows = y[first:], [full.rows[k] for k in S]
-        normals, response = full._normals(S), full._response(full.q(y))
+        normals, response = full.normals(S), full.response(full.q(y))
         G, u = normals @ response @ normals.T, normals @ v
         u[[k in rest for k in S]] = 0.0
         for k in touching:  # the depth that the joint would reach without its stop
@@ -367,7 +378,7 @@ class _HybridRun:
         e = np.array([row.stop.restitution for row in rows])
         usual = complementary(G, (1.0 + e) * u)
         rebound = np.where(usual > 0.0, -e * u, u + G @ usual)
-        scene, energy = full._scene, 0.5 * v @ full._mass_matrix(full.q(y)) @ v
+        scene, energy = full.scene, 0.5 * v @ full.mass_matrix(full.q(y)) @ v
         chosen = [
             k
             for k, row in enumerate(rows)
@@ -420,6 +431,12 @@ def complementary(G: Array, q: Array) -> Array:
     """Solve G z + q ≥ 0, z ≥ 0, z · (G z + q) = 0 by trying sets of positive entries.
 
     For many entries, projected relaxation finds the set.
+
+    Args:
+        G: Positive definite matrix, (K, K).
+        q: Right side, (K,).
+    Returns:
+        z, (K,).
     """
     K = len(q)
     if K > _MOST_TRIED:
@@ -451,9 +468,7 @@ def first_difference(hits: Sequence[Hit], others: Sequence[Hit], slowest: float)
         others: Impulses of the other.
         slowest: Speed below which an impact may be missing [rad/s | m/s].
     """
-    pairs, until = matched(hits, others, slowest)
-    del pairs
-    return until
+    return matched(hits, others, slowest)[1]
 
 
 def matched(
@@ -465,6 +480,8 @@ def matched(
         hits: Impulses of one motion.
         others: Impulses of the other.
         slowest: Speed below which an impact may be missing [rad/s | m/s].
+    Returns:
+        The pairs, and the time [s].
     """
     first = [hit for hit in hits if hit.speed > slowest]
     second = [hit for hit in others if hit.speed > slowest]

@@ -27,7 +27,7 @@ STOP_TABLE = Table(
     {
         "lower": Key(NUMBER, "lower stop [rad | m]", default="none"),
         "upper": Key(NUMBER, "upper stop [rad | m]", default="none"),
-        "restitution": Key(NUMBER, "rate after an impact over the rate before, 0 to 1", default="0"),
+        "restitution": Key(NUMBER, "ratio of the rates after and before, 0 to 1", default="0"),
         "rest_rate": Key(
             POSITIVE, "rebound below which a joint rests [rad/s | m/s]", default="1e-06"
         ),
@@ -73,7 +73,9 @@ class Stop:
                 "or lock the joint when the robot is loaded (lock=)"
             )
         if math.isinf(self.lower) and math.isinf(self.upper):
-            raise InputError("expected a finite lower or upper stop, got none. Omit the joint instead")
+            raise InputError(
+                "expected a finite lower or upper stop, got none. Omit the joint instead"
+            )
         if not 0.0 <= self.restitution <= 1.0:
             raise InputError(
                 f"restitution: expected a number from 0 (rest) to 1 (no loss), got "

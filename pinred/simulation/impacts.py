@@ -80,7 +80,9 @@ class ImpactTable(FrozenArrays):
 
         about = f"{len(self.times)} impacts, {self.energy_lost.sum():.4g} J lost"
         return card(
-            "impacts", about, table("", ["t [s]", "joint", "stop", "impulse", "lost [J]"], self.rows)
+            "impacts",
+            about,
+            table("", ["t [s]", "joint", "stop", "impulse", "lost [J]"], self.rows),
         )
 
 

@@ -52,7 +52,8 @@ def integrate_plan(
     motion = follow(plan, flow, integrate, through, record, thinned=thinned)
     wall = time.perf_counter() - started
     refuse_singular_loops(plan.system, motion)
-    return trajectory_of_motion(plan, motion, Cost(engine, method, motion.steps, motion.evaluations, wall, plan.notices), again)
+    run = Cost(engine, method, motion.steps, motion.evaluations, wall, plan.notices)
+    return trajectory_of_motion(plan, motion, run, again)
 
 
 def trajectory_of_motion(plan: Plan, motion: Motion, run: Cost, again: Again) -> Trajectory:

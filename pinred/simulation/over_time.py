@@ -20,7 +20,6 @@ from ..system.state_fields import (
     with_base,
 )
 from ..system.system import System
-from .impacts import ImpactTable, no_impacts
 
 
 @checks_arguments
@@ -36,11 +35,6 @@ class OverTime(StateArrays):
     @abstractmethod
     def _name(self) -> str:
         """Name of the motion in messages."""
-
-    @property
-    def impacts(self) -> ImpactTable:
-        """The impacts at joint stops; without rows if there are none."""
-        return no_impacts(self.system.r)
 
     @property
     def states(self) -> State:

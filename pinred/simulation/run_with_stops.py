@@ -4,7 +4,7 @@ A mode is a set of joints that rest at their stops. Within a mode, the motion is
 with these joints locked: a smaller shape space with the same symmetry group and momentum. The
 integration of a mode ends when another joint reaches its stop, or when the reaction of a stop would
 pull. Between two integrations, only canonical momenta of the joints at their stops change. The base
-variables of the reduced state are copied, so the spatial momentum does not even change by round-off.
+variables of the reduced state are copied, so not even round-off changes the spatial momentum.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from math import comb
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from ..common.arrays import Array, read_only
 from ..common.errors import InputError, IntegrationError
@@ -46,8 +47,8 @@ from .trajectory import Cost, Trajectory
 
 _CHUNK = 8  # Number of steps after which stops are first looked for.
 _ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # of a position, relative
-_LEAST_GAP = 1e-18  # Smallest margin of a gap, which separates a joint that leaves its stop at zero.
-_CLINGING = 1e-12  # Pull of a stop that counts as round-off, relative to the kinetic energy per rad.
+_LEAST_GAP = 1e-18  # Smallest margin of a gap, for stops at zero [rad | m].
+_CLINGING = 1e-12  # Pull of a stop that counts as round-off, per kinetic energy [1/rad | 1/m].
 _AT_REST = 1e-13  # Rate at a stop that counts as zero, relative to the largest rate.
 _NEWTON = 0.6  # Largest part of a step in which a single root is polished.
 _MOST_NEWTON, _SAME = 100, 1e-16  # Steps for a root, and the change at which it is found.
@@ -267,10 +268,8 @@ def bernstein(degree: int) -> tuple[Array, Array]:
         Nodes, (degree + 1,), and the matrix, (degree + 1, degree + 1).
     """
     nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)
-    basis = [
-        comb(degree, k) * nodes**k * (1.0 - nodes) ** (degree - k) for k in range(degree + 1)
-    ]
-    return nodes, np.linalg.inv(np.array(basis).T)
+    basis = [comb(degree, k) * nodes**k * (1.0 - nodes) ** (degree - k) for k in range(degree + 1)]
+    return nodes, np.asarray(np.linalg.inv(np.array(basis).T))
 
 
 def first_root(coefficients: Array) -> float | None:
@@ -355,7 +354,7 @@ def reactions_of(plan: Plan, rest: Rest, t: Array, samples: Sample, numbers: Arr
     """
     locked, rows = [bound.v for bound in rest], np.tile(numbers, (len(t), 1))
     torques = driving_torques(plan, t, samples, rows, locked)[:, len(plan.acting.driven) :]
-    return torques * np.array([bound.sign for bound in rest])
+    return np.asarray(torques * np.array([bound.sign for bound in rest]))
 
 
 @dataclass(frozen=True)
@@ -392,7 +391,7 @@ class _Contact:
     bounds: Rest
     u: Array
     G: Array
-    may_rest: Array
+    may_rest: NDArray[np.bool_]
 
 
 class _Run:
@@ -405,7 +404,7 @@ class _Run:
         free_plan = self._limited(self._free)
         self.first = CompiledFlow.of_plan(free_plan)
         integrate = integrator(self.first, free_plan, progress, chunk=_CHUNK)
-        self._modes = {(): Mode((), self.bounds, self.first, integrate)}
+        self._modes: dict[Rest, Mode] = {(): Mode((), self.bounds, self.first, integrate)}
         self._reduction = self.system.workspace(
             PointwiseReduction, lambda: PointwiseReduction(self.system)
         )
@@ -544,7 +543,7 @@ class _Run:
 
     def _outcome(
         self, state: _State, contact: _Contact, x: Array, xdot: Array, inverse: Array, sign: Array
-    ) -> tuple[Array, Array, Array]:
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return the impulses, the rates after them, and the joints that rest, (K,) each.
 
         Slow rebounds become rest if the joint stays at its stop. Whether it does depends on the
@@ -581,7 +580,7 @@ class _Run:
 
     def _stays(
         self, state: _State, rest: Rest, G: Array, x: Array, xdot: Array
-    ) -> tuple[Array, Array]:
+    ) -> tuple[NDArray[np.bool_], Array]:
         """Return which joints stay at their stops, and their accelerations back if they left.
 
         The accelerations a away from the stops and the reactions R obey a = G (R − R_locked) ≥ 0,
@@ -600,9 +599,7 @@ class _Run:
 
     def _sample(self, state: _State, x: Array, xdot: Array) -> Sample:
         """Return the sample at a state with other rates of the shape and the same momentum."""
-        sample = state.flow.samples(
-            np.array([state.t]), state.y[None], state.flow.parameters
-        )
+        sample = state.flow.samples(np.array([state.t]), state.y[None], state.flow.parameters)
         split = self._reduction.split(x)
         xi = sample.xi[0] + split.local_connection @ (sample.xdot[0] - xdot)
         base = sample.base
@@ -686,9 +683,7 @@ def run_with_stops(plan: Plan, progress: Progress | None, again: Again) -> Traje
     started = time.perf_counter()
     motion = run.motion()
     wall = time.perf_counter() - started - run.building  # kernels are built once
-    cost = Cost(
-        "compiled", plan.method.name, motion.steps, motion.evaluations, wall, plan.notices
-    )
+    cost = Cost("compiled", plan.method.name, motion.steps, motion.evaluations, wall, plan.notices)
     return trajectory_of_motion(plan, motion, cost, again)
 
 

@@ -27,7 +27,7 @@ from ..system.model_parameters import GRAVITY
 from ..system.state_fields import FIELDS, arrays_of, axis_labels, dimension
 from ..system.system import System
 from ..system.variants import nominal
-from .impacts import impact_arrays
+from .impacts import ImpactTable, impact_arrays
 from .over_time import OverTime
 
 
@@ -78,7 +78,8 @@ def _write_keyframes(traj: OverTime, file: BinaryIO) -> None:
 
 def _arrays(traj: OverTime) -> dict[str, Any]:
     arrays = {**robot_arrays(traj.system), **arrays_of(traj.outputs)}
-    return arrays | impact_arrays(traj.impacts)
+    table: ImpactTable | None = getattr(traj, "impacts", None)  # batches have none
+    return arrays if table is None else arrays | impact_arrays(table)
 
 
 def robot_arrays(system: System) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain, combinations
 
 import numpy as np
@@ -47,7 +48,8 @@ def configuration_rate(model: pin.Model, q: Array, v: Array) -> Array:
     """Return q̇ of a configuration from the velocity."""
     rate = np.empty(model.nq)
     for joint in model.joints[1:]:
-        at, to = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
+        at = slice(joint.idx_q, joint.idx_q + joint.nq)
+        to = slice(joint.idx_v, joint.idx_v + joint.nv)
         c, w, name = q[at], v[to], joint.shortname()
         if joint.nq == joint.nv:
             rate[at] = w
@@ -68,7 +70,12 @@ def _quaternion_rate(c: Array, w: Array) -> Array:
     x, y, z, s = c
     a, b, d = w
     return 0.5 * np.array(
-        [s * a + y * d - z * b, s * b + z * a - x * d, s * d + x * b - y * a, -x * a - y * b - z * d]
+        [
+            s * a + y * d - z * b,
+            s * b + z * a - x * d,
+            s * d + x * b - y * a,
+            -x * a - y * b - z * d,
+        ]
     )
 
 
@@ -82,6 +89,7 @@ class HybridReference:
         torque: Torque | None = None,
         tolerance: float = 1e-12,
     ) -> None:
+        """Prepare the equations; `torque` returns generalised forces."""
         self.model, self.data = system.model.copy(), system.model.createData()
         self.torque, self.tolerance = torque, tolerance
         self.rows: list[tuple[str, int, float, float, pinred.Stop]] = []
@@ -101,6 +109,7 @@ class HybridReference:
         return int(self.model.joints[self.model.getJointId(name)].idx_v)
 
     def tau(self, t: float, q: Array, v: Array) -> Array:
+        """Return the generalised forces."""
         return np.zeros(self.model.nv) if self.torque is None else self.torque(t, q, v)
 
     def accelerations(
@@ -127,10 +136,12 @@ class HybridReference:
         return inverse - inverse @ J.T @ np.linalg.solve(J @ inverse @ J.T, J @ inverse)
 
     def mass(self, q: Array) -> Array:
+        """Return the mass matrix."""
         upper = np.triu(pin.crba(self.model, self.data, q))
         return upper + np.triu(upper, 1).T
 
     def normals(self, rows: tuple[int, ...]) -> Array:
+        """Return the directions away from stops, as rows."""
         E = np.zeros((len(rows), self.model.nv))
         for k, row in enumerate(rows):
             E[k, self.rows[row][1]] = self.rows[row][2]
@@ -169,6 +180,11 @@ class HybridReference:
         values = np.where(np.isin(np.arange(len(gaps)), rest), 1.0, gaps)
         return np.concatenate([values, self.accelerations(t, q, v, rest)[1]])
 
+    def _gap(
+        self, k: int, dense: Callable[[float], Array], rest: tuple[int, ...], t: float
+    ) -> float:
+        return float(self._gaps(dense(t), rest, t)[k])
+
     def _piece(
         self,
         t: float,
@@ -199,7 +215,7 @@ class HybridReference:
             for s in grid:
                 values = self._gaps(dense(s), rest, s)
                 for k in np.flatnonzero((values < 0.0) & (before > 0.0)):
-                    at = lambda r, k=k: self._gaps(dense(r), rest, r)[k]
+                    at = partial(self._gap, int(k), dense, rest)
                     # A gap that begins at zero is positive soon afterwards.
                     low = next(
                         (r for r in (earlier, *np.linspace(earlier, s, 33)[1:-1]) if at(r) > 0.0), s

@@ -19,7 +19,7 @@ START: dict[str, Any] = {
     "x0": [0.1, 0.2, -0.1], "xdot0": [3.0, -3.0, 2.0], "xi0": [0.1, 0.2, 0.3, 0.1, 0.5, -0.2],
     "duration": 1.0,
 }  # fmt: skip
-PRESS = Torque(lambda t, x, xdot, mu: [0.05, 0.04, -0.02])
+PRESS = Torque(lambda *_: [0.05, 0.04, -0.02])
 
 
 def cat(restitution: float, **options: Any) -> pinred.Trajectory:
@@ -37,6 +37,7 @@ def failed(traj: pinred.Trajectory) -> set[str]:
 
 @pytest.mark.parametrize(("restitution", "forces"), [(0.6, []), (0.0, [PRESS])])
 def test_correct_motions_with_stops_pass(restitution: float, forces: list[Torque]) -> None:
+    """Correct motions with stops pass."""
     traj = cat(restitution, forces=forces)
     assert len(traj.impacts) >= 3
     if forces:
@@ -48,6 +49,7 @@ def test_correct_motions_with_stops_pass(restitution: float, forces: list[Torque
 
 
 def test_wrong_restitution_fails() -> None:
+    """Wrong restitution fails."""
     traj = cat(0.6 * (1.0 + 1e-4))
     stops = {name: replace(stop, restitution=0.6) for name, stop in traj.scene.stops.items()}
     traj.scene = replace(traj.scene, stops=stops)
@@ -55,6 +57,7 @@ def test_wrong_restitution_fails() -> None:
 
 
 def test_missed_impact_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Missed impact fails."""
     first = cat(0.6).impacts.joint[0]
     search = run_with_stops._StopSearch.look
 
@@ -95,18 +98,21 @@ def _swapped(traj: pinred.Trajectory) -> None:
     ],
 )
 def test_faults_in_the_table_fail(plant: Callable[[pinred.Trajectory], None], check: str) -> None:
+    """Faults in the table fail."""
     traj = cat(0.6)
     plant(traj)
     assert check in failed(traj)
 
 
 def test_stop_that_pulls_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stop that pulls fails."""
     monkeypatch.setattr(run_with_stops, "_CLINGING", 1.0)
     names = failed(cat(0.0, forces=[PRESS]))
     assert "pull of a stop [relative]" in names
 
 
 def test_momentum_that_jumps_at_an_impact_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Momentum that jumps at an impact fails."""
     resumed = CompiledFlow.resumed
 
     def jump(self: Any, t: float, *arguments: Any) -> CompiledFlow:
@@ -120,6 +126,7 @@ def test_momentum_that_jumps_at_an_impact_fails(monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.parametrize("beyond", [1e-9, -1e-9])
 def test_grazing_impact_cannot_be_told(beyond: float) -> None:
+    """Grazing impact cannot be told."""
     system = pinred.load("falling_cat")
     fine = np.linspace(0.0, 1.0, 20001)
     x = pinred.simulate(system, **START)(fine).x

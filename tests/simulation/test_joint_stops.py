@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -10,15 +11,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from coupled_trees import make_case
-from hybrid_reference import HybridMotion, HybridReference
+from hybrid_reference import HybridMotion, HybridReference, complementarity
+from loop_robots import five_bar
 from trees import random_model
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.common.errors import IntegrationError
 from pinred.forces import Torque
 from pinred.simulation.impacts import impulses, solve_complementarity
-from pinred.simulation.run_with_stops import first_root
+from pinred.simulation.run_with_stops import bernstein, first_root
 
 
 def bouncing_slide() -> pinred.System:
@@ -85,6 +86,7 @@ def spatial_momentum(system: pinred.System, q: Array, v: Array) -> Array:
 def test_impacts_of_robots_agree_with_full_state_dynamics(
     robot: str, limit: float, restitution: float, end: float, speed: float
 ) -> None:
+    """Impacts of robots agree with full state dynamics."""
     system, rng = pinred.load(robot), np.random.default_rng(1)
     stops = {name: pinred.Stop(-limit, limit, restitution) for name in system.shape_names}
     traj = pinred.simulate(
@@ -96,12 +98,13 @@ def test_impacts_of_robots_agree_with_full_state_dynamics(
 
 
 def test_rest_and_release_agree_with_multipliers_of_the_full_state() -> None:
+    """Rest and release agree with multipliers of the full state."""
     system = pinred.load("falling_cat")
     torque = Torque(
-        lambda t, x, xdot, mu: ca.vertcat(0.05 * ca.sin(3 * t), 0.04 * ca.cos(2 * t), -0.02 * x[2])
+        lambda t, x, *_: ca.vertcat(0.05 * ca.sin(3 * t), 0.04 * ca.cos(2 * t), -0.02 * x[2])
     )
 
-    def generalised(t: float, q: Array, v: Array) -> Array:
+    def generalised(t: float, q: Array, _: Array) -> Array:
         return np.array([*np.zeros(6), 0.05 * np.sin(3 * t), 0.04 * np.cos(2 * t), -0.02 * q[9]])
 
     traj = pinred.simulate(
@@ -122,24 +125,21 @@ def test_rest_and_release_agree_with_multipliers_of_the_full_state() -> None:
     q, v, data = traj.q[k], traj.v[k], model.createData()
     reference = HybridReference(system, dict(traj.scene.stops), generalised)
     rest = tuple(
-        n
-        for n, row in enumerate(reference.rows)
-        if reaction[k, row[1] - 6] * row[2] > 0.0
+        n for n, row in enumerate(reference.rows) if reaction[k, row[1] - 6] * row[2] > 0.0
     )
     a, _ = reference.accelerations(t, q, v, rest)
     needed = pin.rnea(model, data, q, v, a) - generalised(t, q, v)
     np.testing.assert_allclose(needed[6:], reaction[k], atol=1e-9)
-    np.testing.assert_allclose(
-        traj.torques[k], reaction[k] + generalised(t, q, v)[6:], atol=1e-10
-    )
+    np.testing.assert_allclose(traj.torques[k], reaction[k] + generalised(t, q, v)[6:], atol=1e-10)
 
 
 @pytest.mark.parametrize("restitution", [0.5, 0.8])
 def test_bouncing_slide_accumulates_at_the_time_of_the_closed_form(restitution: float) -> None:
+    """Bouncing slide accumulates at the time of the closed form."""
     force, height, mass = 1.5, 1.0, 0.75
     traj = pinred.simulate(
         bouncing_slide(), x0=[height], xdot0=[0.0], xi0=[0.0], duration=20.0,
-        forces=[Torque(lambda t, x, xdot, mu: [-force])],
+        forces=[Torque(lambda *_: [-force])],
         stops={"slide": pinred.Stop(0.0, restitution=restitution)},
     )  # fmt: skip
     g = force / mass
@@ -163,6 +163,7 @@ def test_bouncing_slide_accumulates_at_the_time_of_the_closed_form(restitution: 
 
 
 def test_elastic_stops_keep_the_energy_over_200_impacts() -> None:
+    """Elastic stops keep the energy over 200 impacts."""
     system = pinred.load("falling_cat")
     traj = pinred.simulate(
         system, x0=[0.0, 0.0, 0.0], xdot0=[6.0, -5.0, 4.0], xi0=np.zeros(6), duration=12.0, rtol=1e-12,
@@ -174,8 +175,10 @@ def test_elastic_stops_keep_the_energy_over_200_impacts() -> None:
     np.testing.assert_allclose(traj.impacts.energy_lost, 0.0, atol=1e-15)
     times = traj.impacts.times
     before, after = traj(times), traj(np.nextafter(times, np.inf))
-    J = [[spatial_momentum(system, q, v) for q, v in zip(s.q, s.v, strict=True)]
-         for s in (before, after)]  # fmt: skip
+    J = [
+        [spatial_momentum(system, q, v) for q, v in zip(states.q, states.v, strict=True)]
+        for states in (before, after)
+    ]
     scale = np.abs(before.v).max()
     np.testing.assert_allclose(J[0], J[1], rtol=0.0, atol=1e-13 * scale)
     assert not np.allclose(before.v, after.v, atol=1e-3)
@@ -185,7 +188,7 @@ def test_elastic_stops_keep_the_energy_over_200_impacts() -> None:
 
 def test_prescribed_and_locked_joints_are_equivalent_to_rest() -> None:
     """With restitution 0, a pressed joint moves as one that is locked when it is loaded."""
-    system, force = pinred.load("falling_cat"), Torque(lambda t, x, xdot, mu: [0.2, 0.0, 0.0])
+    system, force = pinred.load("falling_cat"), Torque(lambda *_: [0.2, 0.0, 0.0])
     start = {"x0": [0.5, 0.1, -0.2], "xdot0": [0.0, 1.0, -0.7], "duration": 1.0}
     traj = pinred.simulate(
         system, **start, xi0=[0.0, 0.0, 0.0, 0.4, -0.3, 0.2], forces=[force],
@@ -203,6 +206,7 @@ def test_prescribed_and_locked_joints_are_equivalent_to_rest() -> None:
 
 @pytest.mark.parametrize("method", ["Tsit5", "AdaptiveGauss", "Radau"])
 def test_other_methods_find_the_impacts_of_dop853(method: str) -> None:
+    """Other methods find the impacts of dop853."""
     system = pinred.load("falling_cat")
     stops = {name: pinred.Stop(-0.6, 0.6, 0.5) for name in system.shape_names}
     run = {"xdot0": [3.0, -2.0, 2.0], "x0": np.zeros(3), "duration": 1.0, "stops": stops}
@@ -212,14 +216,227 @@ def test_other_methods_find_the_impacts_of_dop853(method: str) -> None:
     np.testing.assert_allclose(first.impacts.t, other.impacts.t, rtol=0.0, atol=1e-8)
 
 
+def test_complementarity_solution_matches_all_sets() -> None:
+    """Complementarity solution matches all sets."""
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        K = int(rng.integers(1, 6))
+        root = rng.normal(size=(K, K))
+        G, q = root @ root.T + 0.1 * np.eye(K), rng.normal(size=K)
+        z = solve_complementarity(G, q)
+        np.testing.assert_allclose(z, complementarity(G, q), rtol=1e-9, atol=1e-12)
+    u, e = -rng.random(3), np.array([0.0, 0.5, 1.0])
+    impulse = impulses(np.diag([1.0, 2.0, 4.0]), u, e)
+    np.testing.assert_allclose(impulse, -(1.0 + e) * u / [1.0, 2.0, 4.0], rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("roots", "expected"),
+    [
+        ([0.3], 0.3), ([0.7, 0.2], 0.2), ([0.5, 0.5 + 1e-7], 0.5), ([1.5, -0.5], None),
+        ([0.99999], 0.99999), ([1e-9], 1e-9),
+    ],
+)  # fmt: skip
+def test_first_root_of_bernstein_coefficients_is_the_known_root(
+    roots: list[float], expected: float | None
+) -> None:
+    """First root of bernstein coefficients is the known root."""
+    polynomial = np.poly1d(roots, r=True) * np.poly1d([1.0, 0.0, 2.0])
+    polynomial = polynomial * np.sign(polynomial(0.0))
+    nodes, matrix = bernstein(7)
+    found = first_root(matrix @ polynomial(nodes))
+    if expected is None:
+        assert found is None
+    else:
+        assert found is not None
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-8)
+
+
+def test_two_joints_that_arrive_together_bounce_in_one_impact() -> None:
+    """Two equal slides on a free base are symmetric, so both reach their stops at once."""
+    model = pin.Model()
+    model.name = "pair"
+    model.gravity.setZero()
+    base = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "base")
+    model.appendBodyToJoint(base, pin.Inertia(2.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    for name in ("left", "right"):
+        k = model.addJoint(base, pin.JointModelPX(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(k, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    system, e = pinred.load(model), 0.5
+    traj = pinred.simulate(
+        system, x0=[0.0, 0.0], xdot0=[1.0, -1.0], xi0=[0.0], duration=0.75,
+        stops={"left": (-1.0, 0.5, e), "right": (-0.5, 1.0, e)},
+    )  # fmt: skip
+    assert len(traj.impacts) == 2
+    assert len(traj.impacts.times) == 1
+    # The base does not move, so each slide of 1 kg bounces alone: λ = (1 + e) m v.
+    np.testing.assert_allclose(traj.impacts.t, 0.5, atol=1e-12)
+    np.testing.assert_allclose(traj.impacts.impulse, [-1.5, 1.5], rtol=1e-12)
+    np.testing.assert_allclose(traj.impacts.energy_lost, 0.375, rtol=1e-12)
+    np.testing.assert_allclose(traj.x[-1], [0.375, -0.375], atol=1e-12)
+
+
+def test_stop_of_a_follower_stops_its_leader() -> None:
+    """Stop of a follower stops its leader."""
+    case = make_case("SE3", 3, 6)
+    follower, system = case.system.couplings[0].follower, case.system
+    assert len(case.system.couplings[0].ratios) == 1
+    names = system.tree.x_names
+    value = float(system.joint_values(np.zeros(system.m))[names.index(follower)])
+    traj = pinred.simulate(
+        system, x0=np.zeros(system.m), xdot0=np.ones(system.m), duration=3.0,
+        stops={follower: (value - 0.3, value + 0.2, 0.5)},
+    )  # fmt: skip
+    assert len(traj.impacts) >= 1
+    assert set(traj.impacts.joint) == {follower}
+    assert_equal_motions(traj, reference_of(traj), times=1e-9, states=1e-8)
+
+
+def test_events_are_found_across_impacts() -> None:
+    """A rate that jumps through zero at an impact crosses zero there."""
+    traj = pinred.simulate(
+        bouncing_slide(), x0=[0.5], xdot0=[-1.0], xi0=[0.0], duration=1.25,
+        stops={"slide": (0.0, 10.0, 0.5)},
+        events=[
+            pinred.Event("xdot['slide']", "turn"),
+            pinred.Event("x['slide'] - 0.25", "quarter"),
+            pinred.Event("x['slide'] - 0.3", "last", terminal=True, direction=1),
+        ],
+    )  # fmt: skip
+    np.testing.assert_allclose(traj.events["turn"].t, [0.5], atol=1e-12)
+    np.testing.assert_allclose(traj.events["quarter"].t, [0.25, 1.0], atol=1e-12)
+    assert traj.ended_by == "last"
+    np.testing.assert_allclose(traj.t[-1], 1.1, atol=1e-12)
+
+
+def test_saved_motions_keep_their_impacts(tmp_path: Path) -> None:
+    """Saved motions keep their impacts."""
+    system = pinred.load("falling_cat")
+    traj = pinred.simulate(
+        system, xdot0=[3.0, -2.0, 2.0], duration=1.0, stops={"bend": (-1.0, 0.8, 0.4)}
+    )
+    assert len(traj.impacts) == 1
+    traj.save(tmp_path / "motion.npz")
+    recording = pinred.read_recording(tmp_path / "motion.npz")
+    for name, column in vars(traj.impacts).items():
+        np.testing.assert_array_equal(getattr(recording.impacts, name), column)
+    copy = pickle.loads(pickle.dumps(traj))
+    np.testing.assert_array_equal(copy.impacts.t, traj.impacts.t)
+    assert "bend" in str(traj.impacts)
+    free = pinred.simulate(system, duration=0.1)
+    assert len(free.impacts) == 0
+    assert str(free.impacts) == "no impacts"
+
+
+def test_without_stops_the_bits_of_a_motion_are_unchanged() -> None:
+    """Stops that no joint reaches change neither the steps nor the end of a motion."""
+    system = pinred.load("falling_cat")
+    run = {"duration": 1.0, "xdot0": [0.5, -0.4, 0.3], "method": "DOP853"}
+    free = pinred.simulate(system, **run)
+    stopped = pinred.simulate(system, **run, stops=dict.fromkeys(system.shape_names, (-9.0, 9.0)))
+    assert len(stopped.impacts) == 0
+    assert free.run.steps == stopped.run.steps
+    np.testing.assert_array_equal(free.x[-1], stopped.x[-1])
+    np.testing.assert_allclose(free.x, stopped.x, rtol=0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("stops", "message"),
+    [
+        ("limits", "expected 'file'"),
+        (3, "stops: expected"),
+        ({"bend": (1.0, -1.0)}, "expected lower < upper"),
+        ({"bend": (np.nan, 1.0)}, "expected lower < upper"),
+        ({"bend": (-np.inf, np.inf)}, "expected a finite"),
+        ({"bend": (-1.0, 1.0, 1.5)}, "restitution: expected a number from 0"),
+        ({"bend": (-1.0, 1.0, -0.1)}, "restitution: expected a number from 0"),
+        ({"bend": (-1.0, 1.0, np.nan)}, "restitution: expected a number from 0"),
+        ({"bend": (1.0,)}, "expected a Stop"),
+        ({"bent": (-1.0, 1.0)}, "did you mean 'bend'"),
+        ({"bend": (0.6, 1.0)}, "initial position of joint 'bend'"),
+        ({"bend": (-1.0, 0.4)}, "initial position of joint 'bend'"),
+    ],
+)
+def test_bad_stops_are_refused_by_name(stops: Any, message: str) -> None:
+    """Bad stops are refused by name."""
+    with pytest.raises(pinred.InputError, match=message):
+        pinred.simulate(pinred.load("falling_cat"), x0=[0.5, 0.2, -0.3], duration=1.0, stops=stops)
+
+
+def test_bad_arguments_of_a_stop_are_refused() -> None:
+    """Bad arguments of a stop are refused."""
+    with pytest.raises(pinred.InputError, match="rest_rate"):
+        pinred.Stop(0.0, 1.0, rest_rate=0.0)
+    with pytest.raises(pinred.InputError, match="lower"):
+        pinred.Stop("a", 1.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"engine": "pinocchio"}, "engine"),
+        ({"check": True}, "check"),
+        ({"method": "Gauss(0.01, 8)"}, "method"),
+        ({"checkpoint": "run.ckpt"}, "checkpoint"),
+        ({"prescribed": {"bend": 0.1}, "hold": "free"}, "prescribed"),
+    ],
+)
+def test_options_that_do_not_act_with_stops_are_refused(
+    options: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    """Options that do not act with stops are refused."""
+    if "checkpoint" in options:
+        options = {"checkpoint": tmp_path / "run.ckpt"}
+    with pytest.raises(pinred.InputError, match=rf"(?s)stops.*{message}"):
+        pinred.simulate(
+            pinred.load("falling_cat"), duration=0.1, stops={"bend": (-1.0, 1.0)}, **options
+        )
+
+
+def test_functions_of_many_runs_and_flows_refuse_stops() -> None:
+    """Functions of many runs and flows refuse stops."""
+    scene = pinred.Scene(
+        system=pinred.load("falling_cat"), duration=0.1, stops={"bend": (-1.0, 1.0)}
+    )
+    with pytest.raises(pinred.InputError, match="stops"):
+        pinred.simulate_many(scene, x0=np.zeros((2, 3)))
+    with pytest.raises(pinred.InputError, match="stops"):
+        pinred.Flow(scene, wrt=["x0"], of=["x"], over_times=False)(np.zeros(3))
+    with pytest.raises(pinred.InputError, match="stops"):
+        pinred.lyapunov(pinred.simulate(scene))
+
+
+def test_closed_loops_refuse_stops() -> None:
+    """Closed loops refuse stops."""
+    model, loops = five_bar()
+    system = pinred.load(model, loops=loops)
+    with pytest.raises(pinred.InputError, match="closed loops"):
+        pinred.simulate(system, duration=0.1, stops={system.shape_names[0]: (-9.0, 9.0)})
+
+
+def test_prescribed_motion_beyond_the_limits_of_the_file_is_refused() -> None:
+    """Prescribed motion beyond the limits of the file is refused."""
+    system = pinred.load("falling_cat")
+    inside = pinred.simulate(
+        system, prescribed={"bend": "0.1*t"}, hold="free", duration=1.0, stops="file"
+    )
+    assert len(inside.impacts) == 0
+    with pytest.raises(
+        pinred.InputError, match=r"joint 'bend' runs into its upper stop at t = 0\.53"
+    ):
+        pinred.simulate(system, prescribed={"bend": "3*t"}, hold="free", duration=1.0, stops="file")
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_random_trees_agree_with_full_state_dynamics(seed: int) -> None:
+    """Random trees agree with full state dynamics."""
     assert_random_tree_agrees(seed)
 
 
 @pytest.mark.by_hand
 @pytest.mark.parametrize("seed", range(4, 100))
 def test_many_random_trees_agree_with_full_state_dynamics(seed: int) -> None:
+    """Many random trees agree with full state dynamics."""
     assert_random_tree_agrees(seed)
 
 
@@ -236,10 +453,10 @@ def assert_random_tree_agrees(seed: int) -> None:
         chosen = [joint.name for joint in system.tree.joints]
     e = float(rng.choice([0.0, 0.5, 0.9, 1.0]))
     values = dict(zip(system.tree.x_names, system.joint_values(np.zeros(system.m)), strict=True))
-    stops = {
-        name: pinred.Stop(values[name] - rng.uniform(0.2, 0.5), values[name] + rng.uniform(0.2, 0.5), e)
-        for name in chosen
-    }
+    stops = {}
+    for name in chosen:
+        lower, upper = values[name] + rng.uniform(0.2, 0.5, 2) * [-1.0, 1.0]
+        stops[name] = pinred.Stop(lower, upper, e)
     run = {
         "x0": np.zeros(system.m), "xdot0": rng.normal(size=system.m),
         "xi0": 0.3 * rng.normal(size=system.r), "stops": stops,

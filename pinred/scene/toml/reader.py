@@ -274,21 +274,6 @@ class _Builder:
             place.fail(unknown(name, "joint", joints, "the joints are"))
 
     def _stops(self, value: Any, place: Place) -> Any:
-        """Return 'file', or the stops by joint."""
-        if not isinstance(value, dict):
-            return value
-
-        def stop(entry: Any, at: Place) -> Stop:
-            with naming(at):
-                return Stop(**entry) if isinstance(entry, dict) else Stop(*entry)
-
-        known = [joint.name for joint in self.system.tree.joints]
-        for name in value:
-            if name not in known:
-                (place / name).fail(f"no joint {quoted(name)}; {nearest(name, known)}")
-        return {name: stop(entry, place / name) for name, entry in value.items()}
-
-    def _stops(self, value: Any, place: Place) -> Any:
         """Return 'file', or the stops by joint; tables become Stops."""
         if not isinstance(value, dict):
             return value

@@ -312,6 +312,8 @@ def kernel_of(
         all_momenta: Whether constant momenta of symmetric balls are integrated, too.
     Returns:
         The kernel; plans of the same structure and force expressions share it.
+    Raises:
+        InputError: The scene has joint stops, whose modes have kernels of their own.
     """
     if plan.scene.bounds:  # Runs with stops build kernels of their modes, whose scenes have none.
         raise InputError(
