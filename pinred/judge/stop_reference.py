@@ -27,6 +27,7 @@ from .time_budget import AbaStopped, TimeBudget
 
 _LEAST_RTOL = 2.3e-14  # tightest relative tolerance of SciPy's DOP853
 _SAMPLES = 16  # number of times in a step at which gaps and reactions are evaluated
+_SHORTER = 0.5 ** np.arange(1, 41)  # parts of an interval in which a joint may leave and return
 _MOST_TRIED = 12  # largest number of stops for which all sets of impulses are tried
 NEVER = 1e300  # growth of perturbations after they change the order of impacts
 
@@ -331,7 +332,9 @@ class _HybridRun:
                 crossed = np.flatnonzero((values < 0.0) & (was > 0.0))
                 for k in crossed.tolist():
                     value = partial(self._function, k, dense, rest)
-                    low = next((r for r in np.linspace(earlier, s, 17)[:-1] if value(r) > 0.0), s)
+                    # A gap that begins at zero may be positive for a short time only.
+                    inside = earlier + (s - earlier) * _SHORTER
+                    low = next((r for r in (earlier, *inside) if value(r) > 0.0), s)
                     root = brentq(value, low, s, xtol=1e-15, rtol=1e-14) if low < s else earlier
                     found.append((float(root), k))
                 if found:
@@ -410,8 +413,8 @@ class _HybridRun:
             if impulse[k]:
                 strength = row.sign * float(impulse[k])
                 self.hits.append(Hit(t, row.joint, row.side, strength, float(-u[k])))
-        for k, row in enumerate(rows):
-            y[row.x] = row.position if S[k] in held else y[row.x]
+        for row in rows:
+            y[row.x] = row.position
         return y, tuple(row for row, stay in zip(held, stays, strict=True) if stay)
 
 

@@ -187,7 +187,7 @@ class Trajectory(OverTime):
     def limits(self) -> LimitTable:
         """Limits of joints in the robot's file, with the extremes of positions, rates and efforts.
 
-        No simulation enforces them.
+        `stops="file"` enforces the position limits; no simulation enforces the others.
         """
         from .limit_excess import limit_table
 

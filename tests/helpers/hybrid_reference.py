@@ -171,6 +171,8 @@ class HybridReference:
             q, v, s = np.split(y, [n, n + nv])
             if kinds is None:
                 break
+            for k in {*rest, *(k for k in kinds if k < len(self.rows))}:
+                s[self.rows[k][1]] = self.rows[k][3]
             v, rest = self._impact(t, q, v, rest, kinds, motion)
         return motion
 
@@ -216,10 +218,9 @@ class HybridReference:
                 values = self._gaps(dense(s), rest, s)
                 for k in np.flatnonzero((values < 0.0) & (before > 0.0)):
                     at = partial(self._gap, int(k), dense, rest)
-                    # A gap that begins at zero is positive soon afterwards.
-                    low = next(
-                        (r for r in (earlier, *np.linspace(earlier, s, 33)[1:-1]) if at(r) > 0.0), s
-                    )
+                    # A gap that begins at zero may be positive for a short time only.
+                    inside = earlier + (s - earlier) * 0.5 ** np.arange(1, 41)
+                    low = next((r for r in (earlier, *inside) if at(r) > 0.0), s)
                     root = brentq(at, low, s, xtol=1e-15, rtol=1e-14) if low < s else earlier
                     found.append((root, int(k)))
                 if found:
