@@ -253,9 +253,9 @@ class _StopSearch(RootSearch):
         x = samples.x[:, [self._mode.moving[k].x for k in self._driven]].T
         gaps = self._sides[self._driven, None] * x + self._offsets[self._driven, None]
         if not self._mode.rest:
-            return gaps
+            return np.asarray(gaps)
         reactions = reactions_of(self._plan, self._mode.rest, t, samples, self._numbers)
-        return np.vstack([gaps, reactions.T + self._cling])
+        return np.asarray(np.vstack([gaps, reactions.T + self._cling]))
 
 
 @cache

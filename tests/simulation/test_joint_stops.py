@@ -166,8 +166,8 @@ def test_elastic_stops_keep_the_energy_over_200_impacts() -> None:
     """Elastic stops keep the energy over 200 impacts."""
     system = pinred.load("falling_cat")
     traj = pinred.simulate(
-        system, x0=[0.0, 0.0, 0.0], xdot0=[6.0, -5.0, 4.0], xi0=np.zeros(6), duration=12.0, rtol=1e-12,
-        atol=1e-14,
+        system, x0=[0.0, 0.0, 0.0], xdot0=[6.0, -5.0, 4.0], xi0=np.zeros(6), duration=12.0,
+        rtol=1e-12, atol=1e-14,
         stops={name: pinred.Stop(-0.3, 0.3, 1.0) for name in system.shape_names},
     )  # fmt: skip
     assert len(traj.impacts.times) >= 200
@@ -451,7 +451,8 @@ def assert_random_tree_agrees(seed: int) -> None:
     else:
         system = pinred.load(random_model(group, joints, seed))
         chosen = [joint.name for joint in system.tree.joints]
-    e = float(rng.choice([0.0, 0.5, 0.9, 1.0]))
+    # On a line without forces, nothing presses a joint that has come to rest, or pulls it away.
+    e = float(rng.choice([0.5, 0.9, 1.0] if group == "R" else [0.0, 0.5, 0.9, 1.0]))
     values = dict(zip(system.tree.x_names, system.joint_values(np.zeros(system.m)), strict=True))
     stops = {}
     for name in chosen:
@@ -465,7 +466,11 @@ def assert_random_tree_agrees(seed: int) -> None:
     if len(traj.impacts) < 3:
         traj = pinred.simulate(system, duration=10.0, **run)
     assert len(traj.impacts) >= 1
-    # Long chains of impacts amplify errors: the time is limited to the first 20 impacts.
-    if len(traj.impacts) > 20:
-        traj = pinred.simulate(system, duration=0.5 * float(traj.impacts.t[19:21].sum()), **run)
+    # Long chains of impacts amplify errors, and impacts at almost one time have no certain order.
+    times = traj.impacts.times
+    close = np.flatnonzero(np.diff(times) < 1e-5)
+    most = min(20, int(close[0]) if close.size else 20)
+    if len(times) > most:
+        before = times[most - 1] if most else 0.0
+        traj = pinred.simulate(system, duration=0.5 * float(before + times[most]), **run)
     assert_equal_motions(traj, reference_of(traj), times=1e-7, states=1e-6)
