@@ -16,8 +16,11 @@ from loop_robots import five_bar
 from trees import random_model
 
 import pinred
+from pinred.cli.main import main
 from pinred.common.arrays import Array
+from pinred.common.errors import IntegrationError
 from pinred.forces import Torque
+from pinred.simulation import run_with_stops
 from pinred.simulation.impacts import impulses, solve_complementarity
 from pinred.simulation.run_with_stops import bernstein, first_root
 
@@ -252,8 +255,8 @@ def test_first_root_of_bernstein_coefficients_is_the_known_root(
         np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-8)
 
 
-def test_two_joints_that_arrive_together_bounce_in_one_impact() -> None:
-    """Two equal slides on a free base are symmetric, so both reach their stops at once."""
+def pair_of_slides() -> pinred.System:
+    """Return two equal slides on a free base of 2 kg, which move along one line."""
     model = pin.Model()
     model.name = "pair"
     model.gravity.setZero()
@@ -262,7 +265,12 @@ def test_two_joints_that_arrive_together_bounce_in_one_impact() -> None:
     for name in ("left", "right"):
         k = model.addJoint(base, pin.JointModelPX(), pin.SE3.Identity(), name)
         model.appendBodyToJoint(k, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
-    system, e = pinred.load(model), 0.5
+    return pinred.load(model)
+
+
+def test_two_joints_that_arrive_together_bounce_in_one_impact() -> None:
+    """Two equal slides on a free base are symmetric, so both reach their stops at once."""
+    system, e = pair_of_slides(), 0.5
     traj = pinred.simulate(
         system, x0=[0.0, 0.0], xdot0=[1.0, -1.0], xi0=[0.0], duration=0.75,
         stops={"left": (-1.0, 0.5, e), "right": (-0.5, 1.0, e)},
@@ -425,6 +433,118 @@ def test_prescribed_motion_beyond_the_limits_of_the_file_is_refused() -> None:
         pinred.InputError, match=r"joint 'bend' runs into its upper stop at t = 0\.53"
     ):
         pinred.simulate(system, prescribed={"bend": "3*t"}, hold="free", duration=1.0, stops="file")
+
+
+def test_turns_within_the_limits_of_the_file_hit_no_stop() -> None:
+    """Results of reorient respect the limits of the file."""
+    cat = pinred.load("falling_cat")
+    turn = pinred.reorient(cat, [0.4, 0.3, 0.2], limits=1.6)
+    traj = pinred.simulate(turn.trajectory.scene, stops="file")
+    assert len(traj.impacts) == 0
+    assert np.abs(traj.x).max() > 0.5
+
+
+@pytest.mark.by_hand
+def test_gaits_within_the_limits_of_the_file_hit_no_stop() -> None:
+    """Results of optimise_gait respect the limits of the file."""
+    gait = pinred.optimise_gait(
+        pinred.Connection.mechanical(pinred.load("falling_cat")), axis="x", harmonics=1, starts=1,
+        limits=1.6,
+    )  # fmt: skip
+    assert len(pinred.simulate(gait.trajectory.scene, stops="file").impacts) == 0
+
+
+@pytest.mark.parametrize(("height", "rests"), [(3e-11, True), (3e-10, False)])
+def test_slow_rebound_rests_only_if_it_stays_within_the_tolerance(
+    height: float, rests: bool
+) -> None:
+    """A rebound below rest_rate of more than atol + rtol is simulated."""
+    rebound, e, mass = 0.75e-6, 0.5, 0.75
+    g = rebound**2 / (2.0 * height)
+    traj = pinred.simulate(
+        bouncing_slide(), x0=[0.0], xdot0=[-rebound / e], xi0=[0.0], duration=1e-5,
+        forces=[Torque(lambda *_: [-g * mass])], stops={"slide": pinred.Stop(0.0, restitution=e)},
+    )  # fmt: skip
+    np.testing.assert_allclose(traj.impacts.rate_after[0], 0.0 if rests else rebound, rtol=1e-12)
+    assert (len(traj.motion.modes) == 1) is True
+    assert traj.motion.modes[0][1].endswith("stop") is rests
+
+
+def test_joint_without_force_stays_at_its_stop() -> None:
+    """Round-off of a reaction that is zero does not release a joint."""
+    traj = pinred.simulate(
+        bouncing_slide(),
+        x0=[0.1],
+        xdot0=[-1.0],
+        xi0=[0.3],
+        duration=5.0,
+        stops={"slide": (0.0, 1.0)},
+    )
+    assert len(traj.impacts) == 1
+    assert traj.motion.modes[1:] == ((traj.impacts.t[0], "slide at its lower stop"),)
+    assert np.abs(traj.x[traj.t > 0.1]).max() == 0.0
+
+
+@pytest.mark.parametrize(("apart", "are_one"), [(5e-11, True), (2e-10, False)])
+def test_impacts_within_the_tolerance_of_time_are_one(apart: float, are_one: bool) -> None:
+    """Impacts closer than rtol times the duration, 1e-10 s, are one impact."""
+    traj = pinred.simulate(
+        pair_of_slides(), x0=[0.0, 0.0], xdot0=[1.0, -1.0], xi0=[0.0], duration=1.0,
+        stops={"left": (-1.0, 0.5, 0.5), "right": (-0.5 - apart, 1.0, 0.5)},
+    )  # fmt: skip
+    assert (len(traj.impacts.times) == 1) is are_one
+
+
+def test_too_many_impacts_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The message names the robot and a remedy."""
+    monkeypatch.setattr(run_with_stops, "MOST_IMPACTS", 3)
+    run = {"x0": [0.5], "xdot0": [-1.0], "xi0": [0.0], "stops": {"slide": (0.0, 1.0, 1.0)}}
+    assert len(pinred.simulate(bouncing_slide(), duration=3.2, **run).impacts) == 3
+    with pytest.raises(IntegrationError, match="'slide' has more than 3 impacts"):
+        pinred.simulate(bouncing_slide(), duration=5.0, **run)
+
+
+def test_initial_position_at_a_stop_is_accepted_and_beyond_it_refused() -> None:
+    """Only round-off may lie beyond a stop at the start."""
+    run = {"xdot0": [-1.0], "xi0": [0.0], "duration": 0.5, "stops": {"slide": (0.5, 1.0, 0.5)}}
+    traj = pinred.simulate(bouncing_slide(), x0=[0.5 - 1e-13], **run)
+    np.testing.assert_array_equal(traj.impacts.t, [0.0])
+    np.testing.assert_allclose(traj.xdot[1:], 0.5, rtol=1e-12)
+    with pytest.raises(pinred.InputError, match="beyond its lower stop"):
+        pinred.simulate(bouncing_slide(), x0=[0.5 - 1e-11], **run)
+
+
+def test_scene_file_and_command_take_stops(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A scene file and the command line give the motion of the Python call."""
+    stops = {"bend": pinred.Stop(-0.6, 0.6), "sway": pinred.Stop(-0.5, 0.5, 0.6)}
+    expected = pinred.simulate(
+        pinred.load("falling_cat"), xdot0=[3.0, -2.0, 1.0], duration=0.5, stops=stops
+    )
+    assert len(expected.impacts) == 2
+    file = tmp_path / "scene.toml"
+    file.write_text(
+        'robot = "falling_cat"\n[start]\nxdot0 = [3.0, -2.0, 1.0]\n[run]\nduration = 0.5\n'
+        "[stops]\nbend = [-0.6, 0.6]\nsway = {lower = -0.5, upper = 0.5, restitution = 0.6}\n"
+    )
+    traj = pinred.simulate(pinred.load_scene(file))
+    np.testing.assert_array_equal(traj.impacts.t, expected.impacts.t)
+    assert main(["run", str(file), "--explain"]) == 0
+    text = capsys.readouterr().out
+    assert "2 at stops of bend, sway" in text
+    assert "stops: bend, sway" in text
+    out = tmp_path / "motion.npz"
+    command = ["simulate", "falling_cat", "--xdot0", "3,-2,1", "--duration", "0.5"]
+    stated = ["--stops", "bend=-0.6,0.6", "--stops", "sway=-0.5,0.5,0.6"]
+    assert main([*command, *stated, "--out", str(out)]) == 0
+    np.testing.assert_array_equal(pinred.read_recording(out).impacts.t, expected.impacts.t)
+    assert main([*command, "--stops", "file", "--out", str(out)]) == 0
+    assert main([*command, "--stops", "sway=1", "--out", str(out)]) == 2
+    assert "JOINT=LOWER,UPPER" in capsys.readouterr().err
+    file.write_text(file.read_text().replace("sway =", "swai ="))
+    with pytest.raises(pinred.InputError, match=r"scene\.toml.*stops.*did you mean 'sway'"):
+        pinred.load_scene(file)
 
 
 @pytest.mark.parametrize("seed", range(4))
