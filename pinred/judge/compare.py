@@ -47,7 +47,7 @@ from .step_defects import (
     unresolved_forces,
 )
 from .stop_checks import StopChecks, check_stops, judgeable_until
-from .stop_reference import NEVER, Hit, StoppedFullState
+from .stop_reference import NEVER, Hit, StoppedFullState, full_state_of
 from .time_budget import AbaStopped, TimeBudget, default_budget
 from .verdict import Report, Verdict
 
@@ -139,7 +139,7 @@ def _compare(
     evenly = np.linspace(0.0, scene.end, SAMPLES)
     times = np.union1d(traj.t, evenly) if everywhere else traj.t
     states = traj(times)
-    full = _full_state(traj, budget)
+    full = full_state_of(traj, budget)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     between = "errors between report times of stiff motion are above their bounds; use Radau"
     stopped: tuple[str, ...] = () if everywhere else (between,)
@@ -274,17 +274,6 @@ class _Solutions:
     hits: tuple[Hit, ...] = ()
     grazes: tuple[tuple[float, float], ...] = ()
     until: float = np.inf
-
-
-def _full_state(traj: Trajectory, budget: TimeBudget) -> FullState:
-    """Return the full simulation of a trajectory's scene."""
-    if not traj.scene.bounds:
-        return FullState(traj.scene, traj.motion.replay, budget)
-
-    def locked(t: float) -> tuple[int, ...]:
-        return next(iter(traj.motion.locked(np.array([t]))))[0]
-
-    return StoppedFullState(traj.scene, locked, budget)
 
 
 def _integrate_with_aba(

@@ -21,6 +21,7 @@ from ..forces.switch_times import time_within
 from ..reduction.inertia_split import symmetric
 from ..scene.scene import Scene
 from ..scene.stop import Stop
+from ..simulation.trajectory import Trajectory
 from .distances import FullMotion
 from .reference_solution import PERTURBATION, FullState
 from .time_budget import AbaStopped, TimeBudget
@@ -264,6 +265,22 @@ class StoppedFullState(FullState):
     def slowest(self) -> float:
         """Speed below which impacts of an accumulation are not compared [rad/s | m/s]."""
         return 10.0 * max(row.stop.rest_rate for row in self.rows)
+
+
+def full_state_of(traj: Trajectory, budget: TimeBudget | None = None) -> FullState:
+    """Return the full simulation of a trajectory's scene, with its joint stops if it has any.
+
+    Args:
+        traj: The trajectory.
+        budget: Time limit of all runs together.
+    """
+    if not traj.scene.bounds:
+        return FullState(traj.scene, traj.motion.replay, budget)
+
+    def locked(t: float) -> tuple[int, ...]:
+        return next(iter(traj.motion.locked(np.array([t]))))[0]
+
+    return StoppedFullState(traj.scene, locked, budget)
 
 
 class _HybridRun:
