@@ -8,8 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_playback_in_browser import complaints, picture_at, show
 
 import pinred
+from pinred.views.playback.headless_browser import Browser
 from pinred.views.playback.playback import playback
 from pinred.views.playback.view_options import View
 
@@ -55,3 +57,19 @@ def test_playback_flashes_at_joints_and_its_ghost_hits_the_same_stops(
     head = re.search(r'"impacts": (\[.*?\]\]|\[\])', page.read_text(encoding="utf-8"))
     assert head is not None
     assert json.loads(head[1]) == film.impacts.tolist()
+
+
+@pytest.mark.browser
+def test_browser_shows_a_flash_after_an_impact(
+    bouncing_cat: pinred.Trajectory, tmp_path: Path, screen: Browser
+) -> None:
+    """Orange pixels appear at an impact and have faded a moment later; the page has no error."""
+    page = tmp_path / "cat.html"
+    pinred.save_html(bouncing_cat, page, fps=100.0)
+    counts, time = [], float(bouncing_cat.impacts.t[0])
+    show(screen, page.as_uri())
+    for t in (time - 0.02, time + 0.01, time + 0.11):
+        image = picture_at(screen, t).astype(float)
+        counts.append(int((image[..., 0] - image[..., 2] > 100.0).sum()))
+    assert complaints(screen) == []
+    assert counts[1] > 3 * max(counts[0], 10)
