@@ -6,7 +6,7 @@ centroidal momentum and composite inertia. The momentum arrow shows the conserve
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
@@ -74,7 +74,7 @@ class Playback(FrozenArrays):
     momentum: Momentum
     sphere: MomentumSphere | None
     ghost: Ghost | None
-    impacts: Array
+    impacts: Array = field(default_factory=lambda: np.empty((0, 2)))
 
 
 def playback(source: MotionSource, view: View) -> Playback:
