@@ -23,6 +23,7 @@ from .option_values import (
     parse_plan,
     shape_in,
     spring_in,
+    stop_in,
 )
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ def add_options(sub: argparse.ArgumentParser, keys: Mapping[str, Key]) -> None:
             sub.add_argument(key.command, dest=name, action="store_const", const=True, help=text)
         elif key.command:
             kind = {Number: float, Whole: int}.get(type(key.node), str)
-            action = "append" if isinstance(key.node, ByName) else "store"
+            action = "append" if isinstance(key.node, ByName) or name == "stops" else "store"
             add(key.command, key.description, kind, dest=name, action=action)
 
 
@@ -225,6 +226,11 @@ _PARSERS: dict[str, Callable[[Any, str], Any]] = {
     "all or B1,B2,…": lambda text, _: True if text == "all" else text.split(",") if text else [],
     "J=K,REST": lambda entries, _: assigned_in(
         entries, "springs", spring_in, "JOINT=STIFFNESS or JOINT=STIFFNESS,REST"
+    ),
+    "file or J=LOWER,UPPER,E": lambda entries, _: (
+        entries[0]
+        if len(entries) == 1 and "=" not in entries[0]
+        else assigned_in(entries, "stops", stop_in, "file, or JOINT=LOWER,UPPER[,RESTITUTION]")
     ),
     "J=PLAN": lambda entries, name: assigned_in(
         entries, name, parse_plan, "JOINT=NUMBER, JOINT=FORMULA, or BALL=W1,W2,W3[@C1,C2,C3]"

@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
-from ..common.names import quoted
+from ..common.names import listed, quoted
 from .command_options import (
     add_options,
     add_parameters,
@@ -133,6 +133,8 @@ def summary_of_run(traj: Trajectory) -> str:
         ),
         ("wall time [s]", f"{run.wall:.5f}"),
     ]
+    if scene.bounds:
+        lines.append(("impacts", describe_impacts(traj)))
     lines += [(f"event {name}", text) for name, text in describe_events(traj)]
     if scene.left_out:
         lines.append(("left out", scene.left_out))
@@ -142,6 +144,15 @@ def summary_of_run(traj: Trajectory) -> str:
         lines.append(("energy, momentum", "no balance: outputs = 'shape' leaves out the base"))
     width = max(len(name) for name, _ in lines)
     return "\n".join([_title(scene), *(f"  {name:<{width}}  {text}" for name, text in lines)])
+
+
+def describe_impacts(traj: Trajectory) -> str:
+    """Return the number of impacts, their joints, and the energy that they remove, in words."""
+    table = traj.impacts
+    if not len(table):
+        return "none"
+    joints = listed(sorted(set(table.joint)), _TIMES)
+    return f"{len(table.times)} at stops of {joints}; {table.energy_lost.sum():.6g} J lost"
 
 
 def describe_events(traj: Trajectory) -> list[tuple[str, str]]:

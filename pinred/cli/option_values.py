@@ -108,6 +108,14 @@ def spring_in(text: str) -> tuple[float, float]:
     return stiffness, rest
 
 
+def stop_in(text: str) -> list[float]:
+    """Parse a text LOWER,UPPER or LOWER,UPPER,RESTITUTION.  Raises ValueError."""
+    numbers = floats_in(text)
+    if len(numbers) not in (2, 3):
+        raise ValueError
+    return numbers
+
+
 def lock_in(text: str, option: str) -> dict[str, float | list[float]]:
     """Parse J1,J2=VALUE,J3=V1,V2,V3 into {joint: value}, with zero for joints without a value."""
     lock: dict[str, float | list[float]] = {}

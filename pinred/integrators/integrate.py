@@ -110,6 +110,7 @@ class Integration:
         quaternions: Quaternions = (0, 0),
         canonical: Canonical = NOT_CANONICAL,
         tangent: Tangent | None = None,
+        capacity: int | None = None,
     ) -> None:
         """Prepare the data that all runs share; the arguments are not validated.
 
@@ -122,6 +123,8 @@ class Integration:
             quaternions: As for `integrate`.
             canonical: As for `integrate`.
             tangent: As for `integrate`.
+            capacity: Number of step ends after which the first run calls `watch`; None for the
+                usual number.
         Raises:
             InputError: The method needs a derivative, and `tangent` is None; or the state contains
                 several quaternions, and the method supports only one.
@@ -132,7 +135,8 @@ class Integration:
         run = begun_by(method, address, n, end, quaternions, canonical, keep=ENDS_KEPT)
         if stepper.needs_tangent:
             give_tangent(tangent, method, run)
-        self._registers, self._work, self._capacity = run.tobytes(), stepper.work(n), _FIRST_KNOTS
+        self._registers, self._work = run.tobytes(), stepper.work(n)
+        self._capacity = capacity or _FIRST_KNOTS
 
     def __call__(
         self,

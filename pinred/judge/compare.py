@@ -49,6 +49,8 @@ from .step_defects import (
     solve_stiff_steps,
     unresolved_forces,
 )
+from .stop_checks import StopChecks, check_stops, judgeable_until
+from .stop_reference import NEVER, Hit, StoppedFullState, full_state_of
 from .time_budget import AbaStopped, TimeBudget, default_budget
 from .verdict import Report, Verdict
 
@@ -163,7 +165,7 @@ def _compare(
     evenly = np.linspace(0.0, scene.end, SAMPLES)
     times = np.union1d(traj.t, evenly) if everywhere else traj.t
     states = traj(times)
-    full = FullState(scene, traj.motion.replay, budget)
+    full = full_state_of(traj, budget)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     between = "errors between report times of stiff motion are above their bounds; use Radau"
     stopped: tuple[str, ...] = () if everywhere else (between,)
@@ -177,7 +179,8 @@ def _compare(
         times = times[:1]
         initial = full.run(y0, times, rtol, atol)
         wall = time.perf_counter() - started
-        solutions = _Solutions(initial, y0[None], np.ones(1), np.zeros(1), wall)
+        until = 0.0 if scene.bounds else np.inf
+        solutions = _Solutions(initial, y0[None], np.ones(1), np.zeros(1), wall, until=until)
     progress(0.8)
     reference, growth = solutions.reference, solutions.growth
     defects = compute_defects(traj, full)
@@ -205,6 +208,12 @@ def _compare(
     motion = FullMotion(x=x[: len(times)], q=q[: len(times)])
     size, error = full.size(reference), full.distance(reference, motion)
     bounds = compute_error_bounds(traj, times, growth, defects, solutions.errors, size, tolerance)
+    until = judgeable_until(solutions.grazes, solutions.until, times, bounds.relative)
+    if until < np.inf:
+        growth[times >= until] = NEVER
+        bounds = compute_error_bounds(
+            traj, times, growth, defects, solutions.errors, size, tolerance
+        )
     count = count_informative_times(bounds.relative, growth)
     rates = compute_rate_errors(traj, full, states, solutions.states)[:count]
     reported = np.isin(times[:count], traj.t)
@@ -214,6 +223,9 @@ def _compare(
             decaying, rates[reported], bounds.relative[:count][reported], tolerance
         ),
     )
+    stops = StopChecks((), ())
+    if isinstance(full, StoppedFullState):
+        stops = check_stops(traj, full, solutions.hits, until, times, bounds.relative)
     audit = audit_trajectory(traj, states)
     drift_bound = max(DRIFT_BOUND * tolerance, 2.0 * bounds.total_defect)
     if (solutions.stiff or decaying.steps) and not max(audit.energy, audit.momentum) <= drift_bound:
@@ -252,10 +264,11 @@ def _compare(
         reference_bound=min(REFERENCE_BOUND * tolerance * growth_at_last, INFORMATIVE),
         growth=growth,
         told=count,
-        reasons=(*reasons, *(stopped or explain_rest(reference, size))),
+        reasons=(*stops.reasons, *reasons, *(stopped or explain_rest(reference, size))),
         wall_reduced=traj.run.wall,
         wall_full=solutions.wall,
         left_out=scene.left_out,
+        stop_checks=stops.checks,
         loop_gap=loops.gap,
         loop_rate=loops.rate,
         rate_error=max(decaying.rates, float(rates.max(initial=0.0))) if decaying.steps else 0.0,
@@ -273,6 +286,9 @@ class _Solutions:
         errors: Errors of the reference over time, relative to the motion, (T,).
         wall: Wall time at the scene's tolerance [s].
         stiff: Whether the reference is that of an implicit method.
+        hits: Impacts of the reference at joint stops.
+        grazes: Grazing impacts of the reference, see HybridSolution.
+        until: Time of the first impact that a small perturbation changes, or inf [s].
     """
 
     reference: FullMotion
@@ -281,6 +297,9 @@ class _Solutions:
     errors: Array
     wall: float
     stiff: bool = False
+    hits: tuple[Hit, ...] = ()
+    grazes: tuple[tuple[float, float], ...] = ()
+    until: float = np.inf
 
 
 def _integrate_with_aba(
@@ -292,6 +311,8 @@ def _integrate_with_aba(
     progress: Progress,
 ) -> _Solutions:
     rtol, atol = traj.scene.rtol, traj.scene.atol
+    if isinstance(full, StoppedFullState):
+        return _integrate_with_stops(full, y0, times, rtol, atol)
     units = defect_units(traj, full)[1]
     began = time.perf_counter()
     try:
@@ -306,6 +327,25 @@ def _integrate_with_aba(
             return _integrate_stiff(full, y0, times, tolerance, units)
         except AbaStopped:
             raise stop from None
+
+
+def _integrate_with_stops(
+    full: StoppedFullState, y0: Array, times: Array, rtol: float, atol: float
+) -> _Solutions:
+    """Return the solutions of a scene with joint stops, by SciPy's DOP853."""
+    began = time.perf_counter()
+    looser = full.solve_with_stops(y0, times, rtol / 10.0, atol / 10.0)
+    wall = time.perf_counter() - began
+    tight = min(rtol / TIGHTER, COARSEST[0]), min(atol / TIGHTER, COARSEST[1])
+    solution = full.solve_with_stops(y0, times, *tight)
+    fine = max(tight[0], GROWTH_TOLERANCE), max(tight[1], 1e-2 * GROWTH_TOLERANCE)
+    growth, until = full.growth_with_stops(y0, solution, times, *fine)
+    size = full.size(solution.motion)
+    errors = full.distance(solution.motion, looser.motion).relative(size)
+    return _Solutions(
+        solution.motion, solution.states, growth, errors, wall,
+        hits=tuple(solution.hits), grazes=tuple(solution.grazes), until=until,
+    )  # fmt: skip
 
 
 def _integrate_explicitly(

@@ -135,7 +135,7 @@ def compute_defects(
 
 
 def _sampled_steps(traj: Trajectory, max_steps: int) -> Indices:
-    steps = np.arange(len(traj.motion.knots) - 1)
+    steps = np.arange(len(traj.motion.step_spans[0]))
     if len(steps) > max_steps:
         last = steps[-1]  # errors of the last step cannot decay
         steps = np.sort(np.random.default_rng(0).choice(steps, max_steps, replace=False))
@@ -175,7 +175,7 @@ def solve_stiff_steps(
         AbaStopped: A step cannot be integrated, or not within the budget.
     """
     steps = _sampled_steps(traj, _MOST_STEPS)
-    a, b = traj.motion.knots[steps], traj.motion.knots[steps + 1]
+    a, b = (ends[steps] for ends in traj.motion.step_spans)
     sizes, motion_sizes = defect_units(traj, full)
     inside = a[:, None] + np.outer(b - a, NODES[:-1])
     times = np.column_stack([a, inside, b]).ravel()
@@ -243,7 +243,7 @@ def unresolved_forces(traj: Trajectory, full: FullState, suspect: NDArray[np.boo
     degrees = np.arange(2 * _TAIL)
     coefficients = (weights[:, None] * legendre.legvander(nodes, degrees[-1]) * (degrees + 0.5)).T
     for k in np.flatnonzero(suspect):
-        a, b = traj.motion.knots[steps[k] : steps[k] + 2]
+        a, b = (float(ends[steps[k]]) for ends in traj.motion.step_spans)
         times = 0.5 * (a + b) + 0.5 * (b - a) * nodes
         y = np.tile(full_states(traj, full, 0.5 * np.array([a + b])), (len(times), 1))
         rates = full.rates(times, y, traj.motion.numbers(times))
@@ -266,7 +266,7 @@ def are_fast(traj: Trajectory, full: FullState, suspect: NDArray[np.bool_]) -> N
     steps, fast = _sampled_steps(traj, _MOST_STEPS), np.zeros(len(suspect), dtype=bool)
     units = defect_units(traj, full)[0]
     for k in np.flatnonzero(suspect):
-        start = traj.motion.knots[steps[k] : steps[k] + 1]
+        start = traj.motion.step_spans[0][steps[k] : steps[k] + 1]
         full.set_parameters(traj.motion.numbers(start)[0])
         J = full.jacobian(float(start[0]), full_states(traj, full, start)[0], units)
         fast[k] = spectral_radius(J) * traj.scene.end > _FAST
@@ -341,14 +341,14 @@ def _subintervals(traj: Trajectory, steps: Indices) -> tuple[Array, Array, Indic
     Subintervals are halves of steps, or shorter where the base rotates fast, so that the
     quadrature is exact to round-off.
     """
-    knots = traj.motion.knots
+    starts, ends = traj.motion.step_spans
     linear = traj.system.group.linear
-    lengths = np.diff(knots)
-    angle = np.abs(traj(knots).xi[:, linear:]).max(initial=0.0) * lengths[steps]
+    fastest = np.abs(traj(traj.motion.knots).xi[:, linear:]).max(initial=0.0)
+    angle = fastest * (ends - starts)[steps]
     counts = np.ceil(np.maximum(angle, 2.0)).astype(int)
     lower = np.concatenate([np.arange(n) for n in counts]) / np.repeat(counts, counts)
     upper = np.concatenate([np.arange(1, n + 1) for n in counts]) / np.repeat(counts, counts)
-    start, end = np.repeat(knots[steps], counts), np.repeat(knots[steps + 1], counts)
+    start, end = np.repeat(starts[steps], counts), np.repeat(ends[steps], counts)
     # The last end equals the step end bit for bit, because no state exists after the final time.
     a, b = start + lower * (end - start), np.where(upper < 1.0, start + upper * (end - start), end)
     return a, b, np.concatenate([[0], np.cumsum(counts)[:-1]])

@@ -71,6 +71,7 @@ class Report(FrozenArrays):
             at the same speed; None without loops.
         rate_error: Largest relative error of a rate at the ends of stiff steps and at the times of
             the comparison; 0 without stiff steps. Only errors at report times are judged.
+        stop_checks: Name, value and bound of each check of joint stops.
     """
 
     robot: str
@@ -107,6 +108,7 @@ class Report(FrozenArrays):
     loop_gap: float | None = None
     loop_rate: float | None = None
     rate_error: float = 0.0
+    stop_checks: tuple[tuple[str, float, float], ...] = ()
 
     @property
     def shape_error(self) -> float:
@@ -145,6 +147,7 @@ class Report(FrozenArrays):
             "momentum drift [relative]": (self.momentum_drift, self.drift_bound),
             "fields against q, v": (self.field_error, self.field_bound),
             **drifts,
+            **{name: (value, bound) for name, value, bound in self.stop_checks},
         }
 
     @property

@@ -59,6 +59,7 @@ from .scene_options import (
 from .scene_options import ENGINES as ENGINES
 from .scene_options import Engine as Engine
 from .scene_structure import MOST_STRUCTURES, Shared, structure_key
+from .stop import Bound, bounds_of, check_start, parse_stops
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
@@ -167,7 +168,9 @@ class Scene(SceneFields):
         for name in ARRAYS_OF_STATE:
             if values[name] is not None:
                 values[name] = copied(values[name])
-        values["_given"] = self._resolve()
+        values["_given"] = given = self._resolve()
+        if self.bounds:
+            check_start(self.bounds, given.x[0])
 
     def _check_structure(self) -> Shared:
         """Check all options except the numbers of the initial state; return these options."""
@@ -193,6 +196,7 @@ class Scene(SceneFields):
         times = compute_report_times(self.times, self.duration, self.system)
         self._keep("_times", read_only(times))
         self._check_forces()
+        self._check_stops()
         checked = vars(self).items()
         return Shared({name: v for name, v in checked if v is not unchecked.get(name, unchecked)})
 
@@ -212,6 +216,8 @@ class Scene(SceneFields):
     def __reduce__(self) -> tuple[Any, ...]:
         options = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         options |= {"system": nominal(self.system), "parameters": dict(self.parameters)}
+        if isinstance(self.stops, Mapping):
+            options["stops"] = dict(self.stops)
         return _scene_of, (options,)
 
     def _repr_html_(self) -> str:
@@ -275,6 +281,12 @@ class Scene(SceneFields):
         """The expressions of the events; None if there are none."""
         watched: Watched | None = vars(self)["_watched"]
         return watched
+
+    @property
+    def bounds(self) -> tuple[Bound, ...]:
+        """The bounds of independent joints by stops; empty without stops."""
+        bounds: tuple[Bound, ...] = vars(self)["_bounds"]
+        return bounds
 
     @property
     def own_forces(self) -> tuple[Force, ...]:
@@ -347,6 +359,23 @@ class Scene(SceneFields):
         model = model.with_values(self.parameters)
         check_span(model, self.end, base=self.outputs == "all")
         self._keep("_forces", model)
+
+    def _check_stops(self) -> None:
+        """Validate and store the stops; those of the file may include prescribed joints."""
+        from_file = isinstance(self.stops, str)
+        stops = parse_stops(self.stops, self.system)
+        bounds, driven = bounds_of(self.system, stops), set[int]()
+        if self.force_model is not None:
+            driven = {*self.force_model.joints}
+        for bound in bounds:
+            if bound.v in driven and not from_file:
+                raise InputError(
+                    f"stops: the motion of joint '{bound.joint}' is prescribed, so a stop cannot "
+                    "change it. Omit its stop, or do not prescribe it"
+                )
+        if not from_file:
+            self._keep("stops", MappingProxyType(stops) if stops else None)
+        self._keep("_bounds", bounds)
 
     def _plans_that_hold(self) -> dict[str, Constant | Attitude]:
         """Return the motions of the joints that `hold` keeps at their initial positions.

@@ -27,6 +27,7 @@ from ..system.system import System
 from .event import EVENT_TABLE, Event
 from .option_checks import EVEN_TIMES
 from .random_state import DURATION
+from .stop import STOPS, Stop
 from .toml.force_kinds import FORCE
 from .toml.method_tables import METHOD, METHOD_NAMES
 from .toml.parameter_tables import NamedNumbers
@@ -98,6 +99,7 @@ class SceneOptions(TypedDict, total=False):
     controls: Mapping[str, Control] | Controller
     passive: bool
     friction: float | None
+    stops: Mapping[str, Stop | Sequence[float]] | str | None
     parameters: Any
     events: Sequence[Event] | Event
     outputs: WantedOutputs
@@ -216,6 +218,15 @@ class SceneFields:
         "let the dry friction of the robot's file act as −most·tanh(rate/WIDTH), with this "
         "width [rad/s | m/s]", default="no friction", command="--friction WIDTH",
     ))  # fmt: skip
+    stops: Mapping[str, Stop | Sequence[float]] | str | None = field(
+        default=None, metadata=_option(
+            STOPS,
+            "stops of hinges and slides [rad | m]: file for the position limits of the robot's "
+            "file; or lower and upper stop by joint, perhaps with a restitution from 0 to 1",
+            formats="'file', or {joint: (lower, upper), (lower, upper, restitution) or Stop}",
+            command="--stops file or J=LOWER,UPPER,E",
+        ),
+    )  # fmt: skip
     parameters: Any = field(default_factory=dict, metadata=_option(
         NamedNumbers(),
         "values of robot parameters, such as hand.mass (docs/flow.md), and of the parameters "

@@ -16,7 +16,7 @@ prescribed joints and τ of the others are known.  It then determines τ of the 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,6 @@ from numpy.polynomial import legendre
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, read_only
-from ..forces.force_model import ForceModel
 from ..reduction.inertia_split import com_derivative, symmetric
 from ..reduction.potential import shape_gravity
 from ..system.coordinates import Indices
@@ -41,6 +40,7 @@ _POINTS = 8  # Number of Gauss points in each step.
 _RESOLVED = 1e-9  # highest Legendre terms of resolved steps, relative to the largest integrand
 _HALVINGS = 8  # largest number of times that a step is halved
 _ENTRIES = 2**18  # Number of entries of mass matrices that are in memory at once.
+_STOPS = "joint stops"  # Label for the energy that impacts at joint stops remove.
 _DRIVES = "prescribed joints"  # Label for the work done by the drives of prescribed joints.
 
 
@@ -118,9 +118,15 @@ def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
     Returns:
         The balance at the times of the states.
     """
-    forces = plan.forces
+    forces, impacts = plan.forces, motion.impacts
+    if impacts is not None:  # a report time at an impact has the state before it
+        lost = np.append(0.0, np.cumsum(impacts.energy_lost))
+        stopped = -lost[np.searchsorted(impacts.t, states.t, side="left")][:, None]
+    else:
+        stopped = np.zeros((len(states.t), 0))
+    of_stops = (_STOPS,) * stopped.shape[1]
     if forces is None or not (forces.labels or forces.joints):
-        return EnergyBalance(states.t, states.energy, (), np.zeros((len(states.t), 0)))
+        return EnergyBalance(states.t, states.energy, of_stops, stopped)
     labels = (*forces.labels, *([_DRIVES] if forces.joints else []))
 
     def compute_powers(t: Array) -> Array:
@@ -129,13 +135,12 @@ def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
         powers = forces.powers(samples.force_inputs(t, numbers), full.xi)
         if not forces.joints:
             return powers
-        drive = driving_torques(plan, t, samples, numbers)
+        drive = torques_of_motion(plan, motion, t)[0]
         power = np.sum(drive * full.xdot[:, list(forces.joints)], axis=1)
         return np.column_stack([powers, power])
 
-    return EnergyBalance(
-        states.t, states.energy, labels, _integral(motion, states.t, compute_powers)
-    )
+    work = np.hstack([_integral(motion, states.t, compute_powers), stopped])
+    return EnergyBalance(states.t, states.energy, (*labels, *of_stops), work)
 
 
 def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalance:
@@ -206,60 +211,86 @@ def _integral(motion: Motion, t: Array, integrand: Callable[[Array], Array]) -> 
     return np.asarray(at_ends[step] + np.einsum("tn,tnk->tk", integrals, series[step]))
 
 
-def joint_torques(plan: Plan, t: Array, samples: Sample, numbers: Array) -> Array:
-    """Compute the torques of all forces on the joints, and of prescribed motions.
+def joint_torques(plan: Plan, motion: Motion, t: Array) -> Array:
+    """Compute the torques on the joints: of forces, of prescribed motions, and of stops at rest.
 
     Args:
         plan: The plan of the scene.
+        motion: The motion.
         t: Times, (T,) [s].
-        samples: States that forces depend on at these times.
-        numbers: Parameters of the forces at these times, (T, p).
     Returns:
         (T, m) [N·m | N].
     """
-    if plan.forces is None:
-        return read_only(np.zeros((len(t), plan.system.m)))
-    torques = np.array(plan.forces.acting(samples.force_inputs(t, numbers)).torque)
-    torques[:, list(plan.acting.driven)] += driving_torques(plan, t, samples, numbers)
+    driving, of_stops = torques_of_motion(plan, motion, t)
+    torques = np.array(of_stops)
+    if plan.forces is not None:
+        samples, numbers = motion.samples(t)
+        acting = np.array(plan.forces.acting(samples.force_inputs(t, numbers)).torque)
+        acting[:, list(plan.acting.driven)] += driving
+        torques = acting + of_stops if of_stops.any() else acting
     return read_only(torques)
 
 
-def driving_torques(plan: Plan, t: Array, samples: Sample, numbers: Array) -> Array:
-    """Compute the torques of the prescribed joints.
+def torques_of_motion(plan: Plan, motion: Motion, t: Array) -> tuple[Array, Array]:
+    """Compute the torques of prescribed joints, and the reactions of stops at which joints rest.
+
+    Args:
+        plan: The plan of the scene.
+        motion: The motion.
+        t: Times, (T,) [s].
+    Returns:
+        (T, k) in the order of the prescribed joints, and (T, m), zero for moving joints [N·m | N].
+    """
+    samples, numbers = motion.samples(t)
+    driven = len(plan.acting.driven)
+    driving, reactions = np.zeros((len(t), driven)), np.zeros((len(t), plan.system.m))
+    for locked, rows in motion.locked(t):
+        chosen = map_samples(lambda field, rows=rows: field[0][rows], [samples])
+        torques = driving_torques(plan, t[rows], chosen, numbers[rows], locked)
+        driving[rows] = torques[:, :driven]
+        reactions[rows[:, None], list(locked)] = torques[:, driven:]
+    return read_only(driving), read_only(reactions)
+
+
+def driving_torques(
+    plan: Plan, t: Array, samples: Sample, numbers: Array, locked: Sequence[int] = ()
+) -> Array:
+    """Compute the torques of the prescribed joints, and those that lock further joints.
 
     Args:
         plan: The plan of the scene.
         t: Times, (T,) [s].
         samples: States that forces depend on at these times.
         numbers: Parameters of the forces at these times, (T, p).
+        locked: Indices of further rates, which stay zero.
     Returns:
-        (T, k) [N·m | N], in the order of the prescribed joints.
+        (T, k) [N·m | N], in the order of the prescribed joints, then of `locked`.
     """
-    forces, driven = plan.forces, plan.acting.driven
-    if forces is None or not driven:
+    driven = (*plan.acting.driven, *locked)
+    if not driven:
         return read_only(np.zeros((len(t), 0)))
     torques = np.empty((len(t), len(driven)))
     count = max(1, _ENTRIES // plan.system.n**2)
     for first in range(0, len(t), count):
         rows = slice(first, first + count)
         chunk = map_samples(lambda field, rows=rows: field[0][rows], [samples])
-        torques[rows] = _driving_torques(plan, forces, t[rows], chunk, numbers[rows])
+        torques[rows] = _driving_torques(plan, t[rows], chunk, numbers[rows], driven)
     return read_only(torques)
 
 
 def _driving_torques(
-    plan: Plan, forces: ForceModel, t: Array, samples: Sample, numbers: Array
+    plan: Plan, t: Array, samples: Sample, numbers: Array, joints: Sequence[int]
 ) -> Array:
     """Return `driving_torques` at times whose mass matrices fit into memory."""
-    system, r = plan.system, plan.system.r
-    driven = r + np.array(plan.acting.driven)
+    system, r, forces = plan.system, plan.system.r, plan.forces
+    driven = r + np.array(joints)
     free = np.setdiff1d(np.arange(system.n), driven)
-    acting = forces.acting(samples.force_inputs(t, numbers))
-    force = np.concatenate([acting.wrench, acting.torque], axis=1)
-    H, terms = _inertial_terms(system, samples)
-    force += terms
-    a, loads = np.empty_like(force), np.zeros_like(force)
-    a[:, driven] = forces.prescribed(t, numbers).xddot
+    H, force = _inertial_terms(system, samples)
+    a, loads = np.zeros_like(force), np.zeros_like(force)
+    if forces is not None:
+        acting = forces.acting(samples.force_inputs(t, numbers))
+        force = np.concatenate([acting.wrench, acting.torque], axis=1) + force
+        a[:, driven[: len(forces.joints)]] = forces.prescribed(t, numbers).xddot
     free_force = force[:, free] - np.einsum("tij,tj->ti", H[:, free[:, None], driven], a[:, driven])
     if system.closure is not None:
         for k, row in enumerate(loads):

@@ -78,10 +78,93 @@ class Crossing:
     rising: bool
 
 
-class Watch:
+class RootSearch:
+    """The search for sign changes of functions of the state in the steps of segments."""
+
+    def __init__(self, signs: Array, sampled: Sequence[int]) -> None:
+        """Prepare the search.
+
+        Args:
+            signs: Signs of the functions before the first step, (E,); zero if unknown.
+            sampled: Indices of the functions that are searched.
+        """
+        self._signs, self._sampled = signs, list(sampled)
+        self._reached = -1.0
+
+    def values(self, segment: Segment, t: Array) -> Array:
+        """Return the values (E, T) of all functions at times (T,) within a segment."""
+        raise NotImplementedError
+
+    def roots(self, segment: Segment, step_ends: Array) -> list[Crossing]:
+        """Return the sign changes in the steps of a segment, function by function.
+
+        Args:
+            segment: The segment.
+            step_ends: Ends of its new steps, (K,) [s].
+        Returns:
+            The sign changes; `event` is the index of the function.
+        """
+        parts = np.arange(_PARTS * (len(step_ends) - 1) + 1) / _PARTS
+        times = np.interp(parts, np.arange(len(step_ends)), step_ends)
+        times, values = self._sample(segment, times[times >= self._reached])
+        crossings = []
+        for k, row in zip(self._sampled, values, strict=True):
+            changes, sign = _sign_changes(row, self._signs[k])
+            for j in changes:
+                time = self._root(segment, k, times[max(j - 1, 0)], times[j])
+                crossings.append(Crossing(k, time, rising=bool(row[j] > 0.0)))
+            self._signs[k] = sign
+        return crossings
+
+    def _sample(self, segment: Segment, times: Array) -> tuple[Array, Array]:
+        """Return times with further ones between them, (T,), and the values at them, (E, T)."""
+        values = self.values(segment, times)[self._sampled]
+        left = np.arange(len(times) - 1)
+        for _ in range(_HALVINGS):
+            if not left.size:
+                break
+            middles = 0.5 * (times[left] + times[left + 1])
+            predicted, size = _predict(times, values, left, middles)
+            actual = self.values(segment, middles)[self._sampled]
+            wrong = (np.abs(actual - predicted) > _UNPREDICTED * size).any(axis=0)
+            times = np.insert(times, left + 1, middles)
+            values = np.insert(values, left + 1, actual, axis=1)
+            # Samples of a fast oscillation may agree by chance, so neighbours are halved, too.
+            first = (left + np.arange(len(left)))[wrong]
+            near = np.unique(np.add.outer(first, np.arange(-2, 4)))
+            left = near[(near >= 0) & (near < len(times) - 1)]
+        return self._with_extrema(segment, times, values)
+
+    def _with_extrema(self, segment: Segment, times: Array, values: Array) -> tuple[Array, Array]:
+        """Add samples where an event may reach zero and return between two samples."""
+        for _ in range(_EXTREMA):
+            new = extremum_times(times, values)
+            if not new.size:
+                break
+            at = np.searchsorted(times, new)
+            times = np.insert(times, at, new)
+            values = np.insert(values, at, self.values(segment, new)[self._sampled], axis=1)
+        return times, values
+
+    def _root(self, segment: Segment, k: int, a: float, b: float) -> float:
+        """Return the time between a and b at which the expression of event k is zero."""
+
+        def value(t: float) -> float:
+            return float(self.values(segment, np.array([t]))[k, 0])
+
+        value_a, value_b = value(a), value(b)
+        if a == b or value_a == 0.0 or (value_a > 0.0) == (value_b > 0.0):
+            return float(a)
+        from scipy.optimize import brentq
+
+        return float(brentq(value, a, b, xtol=_EPS * max(abs(b), 1e-300), rtol=_EPS))
+
+
+class Watch(RootSearch):
     """The detection of events during one run.
 
     Attributes:
+        flow: The flow that is integrated.
         crossings: The crossings located so far, in order of time.
         end: The terminal crossing, or None as long as no terminal event has occurred.
     """
@@ -94,12 +177,11 @@ class Watch:
             flow: The flow that is integrated.
             watched: The compiled expressions of the events.
         """
-        self._scene, self._flow, self._watched = scene, flow, watched
+        self._scene, self.flow, self._watched = scene, flow, watched
         self._events = scene.events_given
-        self._signs = np.zeros(len(self._events))
-        self._reached = -1.0
+        count = len(self._events)
+        super().__init__(np.zeros(count), [k for k in range(count) if k not in watched.of_time])
         self._of_time = self._find_times()
-        self._sampled = [k for k in range(len(self._events)) if k not in watched.of_time]
         self.crossings: list[Crossing] = []
         self.end: Crossing | None = None
 
@@ -137,7 +219,7 @@ class Watch:
         step_ends = knots[max(np.searchsorted(knots, self._reached) - 1, 0) :]
         self.crossings += [c for c in self._of_time if self._reached < c.t <= reached]
         if self._sampled:
-            self._search(segment, step_ends)
+            self.crossings += filter(self._counts, self.roots(segment, step_ends))
         self._reached = reached
         self.crossings.sort(key=lambda crossing: crossing.t)
         terminal = [c for c in self.crossings if self._events[c.event].terminal]
@@ -167,66 +249,9 @@ class Watch:
         direction = self._events[crossing.event].direction
         return direction == 0 or (direction > 0) == crossing.rising
 
-    def _search(self, segment: Segment, step_ends: Array) -> None:
-        """Locate the crossings of expressions of the state in steps of a segment."""
-        parts = np.arange(_PARTS * (len(step_ends) - 1) + 1) / _PARTS
-        times = np.interp(parts, np.arange(len(step_ends)), step_ends)
-        times, values = self._sample(segment, times[times >= self._reached])
-        for k, row in zip(self._sampled, values, strict=True):
-            changes, sign = _sign_changes(row, self._signs[k])
-            for j in changes:
-                time = self._root(segment, k, times[max(j - 1, 0)], times[j])
-                crossing = Crossing(k, time, rising=bool(row[j] > 0.0))
-                if self._counts(crossing):
-                    self.crossings.append(crossing)
-            self._signs[k] = sign
-
-    def _sample(self, segment: Segment, times: Array) -> tuple[Array, Array]:
-        """Return times with further ones between them, (T,), and the values at them, (E, T)."""
-        values = self._values(segment, times)[self._sampled]
-        left = np.arange(len(times) - 1)
-        for _ in range(_HALVINGS):
-            if not left.size:
-                break
-            middles = 0.5 * (times[left] + times[left + 1])
-            predicted, size = _predict(times, values, left, middles)
-            actual = self._values(segment, middles)[self._sampled]
-            wrong = (np.abs(actual - predicted) > _UNPREDICTED * size).any(axis=0)
-            times = np.insert(times, left + 1, middles)
-            values = np.insert(values, left + 1, actual, axis=1)
-            # Samples of a fast oscillation may agree by chance, so neighbours are halved, too.
-            first = (left + np.arange(len(left)))[wrong]
-            near = np.unique(np.add.outer(first, np.arange(-2, 4)))
-            left = near[(near >= 0) & (near < len(times) - 1)]
-        return self._with_extrema(segment, times, values)
-
-    def _with_extrema(self, segment: Segment, times: Array, values: Array) -> tuple[Array, Array]:
-        """Add samples where an event may reach zero and return between two samples."""
-        for _ in range(_EXTREMA):
-            new = extremum_times(times, values)
-            if not new.size:
-                break
-            at = np.searchsorted(times, new)
-            times = np.insert(times, at, new)
-            values = np.insert(values, at, self._values(segment, new)[self._sampled], axis=1)
-        return times, values
-
-    def _root(self, segment: Segment, k: int, a: float, b: float) -> float:
-        """Return the time between a and b at which the expression of event k is zero."""
-
-        def value(t: float) -> float:
-            return float(self._values(segment, np.array([t]))[k, 0])
-
-        value_a, value_b = value(a), value(b)
-        if a == b or value_a == 0.0 or (value_a > 0.0) == (value_b > 0.0):
-            return float(a)
-        from scipy.optimize import brentq
-
-        return float(brentq(value, a, b, xtol=_EPS * max(abs(b), 1e-300), rtol=_EPS))
-
-    def _values(self, segment: Segment, t: Array) -> Array:
+    def values(self, segment: Segment, t: Array) -> Array:
         """Return the values (E, T) of all expressions at times (T,) within a segment."""
-        scene, flow, parameters = self._scene, self._flow, segment.parameters
+        scene, flow, parameters = self._scene, self.flow, segment.parameters
         system = scene.system
         y = segment.at(t)
         states = flow.states(t, y, parameters)
@@ -293,21 +318,21 @@ def _predict(times: Array, values: Array, left: Indices, middles: Array) -> tupl
     return (rows * weights).sum(axis=2), np.abs(rows).max(axis=2)
 
 
-def cut_at_event(watch: Watch, segment: Segment, integrate: Integrate) -> list[Segment]:
-    """Return the parts of a segment up to the terminal event.
+def cut_at(end_time: float, segment: Segment, integrate: Integrate) -> list[Segment]:
+    """Return the parts of a segment up to a time.
 
-    The last step is integrated again, so that it ends at the event.
+    The last step is integrated again, so that it ends at this time.
 
     Args:
-        watch: The detection, which has a terminal crossing in the segment.
+        end_time: The time, such as that of a terminal event [s].
         segment: The segment.
         integrate: Integrator of segments.
     Returns:
-        One or two segments, or none if the event is at the start of the segment.
+        One or two segments, or none if the time is the start of the segment.
     """
-    if watch.end is None or watch.end.t >= segment.end:
+    if end_time >= segment.end:
         return [segment]
-    end_time, knots = watch.end.t, segment.knots
+    knots = segment.knots
     count = int(np.searchsorted(knots, end_time))
     if not count:
         return []

@@ -8,6 +8,7 @@ from ..reduction.symmetric_balls import SymmetricBall, axial_among, rotors_among
 from ..scene.initial_state import large_angles
 from .compiled.compiled_flow import has_no_momentum
 from .plan import Plan
+from .trajectory import Trajectory
 
 
 def explain(plan: Plan) -> str:
@@ -19,9 +20,22 @@ def explain(plan: Plan) -> str:
     lines += varying(plan)
     if note := large_angles(plan.scene.given.x[0], plan.system):
         lines.append(f"note: {note}")
+    if plan.scene.bounds:
+        names = dict.fromkeys(bound.joint for bound in plan.scene.bounds)
+        lines.append(f"stops: {', '.join(names)}; joints at rest are locked, one kernel per mode")
     if plan.scene.left_out:
         lines.append(f"left out: {plan.scene.left_out}")
     return "\n".join([*lines, f"method: {plan.method.name} ({plan.choice.why})"])
+
+
+def explain_modes(traj: Trajectory) -> str:
+    """Describe the modes of a motion with joint stops: times and joints at rest."""
+    modes = traj.motion.modes
+    ends = [*(f"{t:.6g}" for t, _ in modes[1:]), f"{traj.scene.end:g} s"]
+    lines = [
+        f"mode: {label}, t = {t:.6g} to {end}" for (t, label), end in zip(modes, ends, strict=True)
+    ]
+    return "\n".join([*lines, f"impacts: {len(traj.impacts.times)}"])
 
 
 def seen_and_integrated(plan: Plan) -> list[str]:

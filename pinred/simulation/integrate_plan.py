@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..scene.scene import Engine, Scene
-from .motion import follow
+from .motion import Motion, follow
 from .plan import Plan
 from .reduced_flow import Integrate, ReducedFlow, Segments
 from .run_record import RunRecord
@@ -53,6 +53,18 @@ def integrate_plan(
     wall = time.perf_counter() - started
     refuse_singular_loops(plan.system, motion)
     run = Cost(engine, method, motion.steps, motion.evaluations, wall, plan.notices)
+    return trajectory_of_motion(plan, motion, run, again)
+
+
+def trajectory_of_motion(plan: Plan, motion: Motion, run: Cost, again: Again) -> Trajectory:
+    """Return the trajectory of an integrated plan, whose scene ends where the motion ends.
+
+    Args:
+        plan: The plan.
+        motion: Its motion.
+        run: Cost of the integration.
+        again: Function that simulates the scene again; see Trajectory.
+    """
     terminal_crossing = motion.ended_by
     scene = plan.scene if terminal_crossing is None else _until(plan.scene, terminal_crossing.t)
     return Trajectory(scene, motion, run, again)

@@ -147,8 +147,9 @@ def excess_notice(plan: Plan, motion: Motion, states: ShapeState | State) -> str
         for use in uses
     ]
     return (
-        f"'{system.name}' goes beyond the limits of its file, which a simulation does not "
-        f"enforce: {listed(words, 3)}, at report times (traj.limits looks between them, too)"
+        f"'{system.name}' goes beyond the limits of its file, of which only stops='file' enforces "
+        f"those of positions: {listed(words, 3)}, at report times (traj.limits looks between "
+        "them, too)"
     )
 
 

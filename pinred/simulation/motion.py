@@ -18,7 +18,8 @@ from ..forces.switch_times import time_within
 from ..system.coordinates import Indices
 from ..system.state_fields import ShapeState, State, map_arrays
 from .control import Control, ControlAction, Replay
-from .events import Crossing, Watch, cut_at_event
+from .events import Crossing, Watch, cut_at
+from .impacts import ImpactTable
 from .plan import Plan
 from .reduced_flow import Integrate, ReducedFlow, Segment, Segments
 from .run_record import Part, RunRecord
@@ -71,6 +72,7 @@ class Motion:
         """
         self.flow, self._varies = flow, varies
         self.segments = Segments(segments) if isinstance(segments, list) else segments
+        self._width = len(flow.y0)  # of a reduced state
         self.actions = tuple(actions)
         self.crossings: list[Crossing] = [] if watch is None else watch.crossings
         self.ended_by = None if watch is None else watch.end
@@ -92,9 +94,38 @@ class Motion:
         return knots
 
     @property
+    def step_spans(self) -> tuple[Array, Array]:
+        """Starts and ends of all steps, (S,) [s]; a step after an impact starts just after it."""
+        return self.knots[:-1], self.knots[1:]
+
+    @property
     def replay(self) -> Replay:
         """The actions of the controllers, for another simulation."""
-        return Replay(self.segments.ends, [self._numbers(segment) for segment in self.segments])
+        return Replay(self.segments.ends, [self._numbers(k) for k in range(len(self.segments))])
+
+    def flow_of(self, k: int) -> ReducedFlow:  # noqa: ARG002
+        """Return the flow of segment k."""
+        return self.flow
+
+    @property
+    def impacts(self) -> ImpactTable | None:
+        """The impacts at joint stops; None without stops."""
+        return None
+
+    @property
+    def modes(self) -> tuple[tuple[float, str], ...]:
+        """Start time [s] and name of each mode; one without joint stops."""
+        return ((0.0, "no joint at rest"),)
+
+    def locked(self, t: Array) -> Iterator[tuple[tuple[int, ...], Indices]]:
+        """Yield the indices of the rates that stops lock, with the indices of times (T,).
+
+        Args:
+            t: Times, (T,) [s].
+        Yields:
+            The indices of rates and of times; every time once.
+        """
+        yield (), np.arange(len(t))
 
     def reduced(self, t: Array) -> Array:
         """Return the reduced states at times (T,), (T, k)."""
@@ -102,9 +133,10 @@ class Motion:
             return np.asarray(self.segments[0].at(t))
         if (stored := self.segments.reported(t)) is not None:
             return stored
-        y = np.empty((len(t), len(self.flow.y0)))
-        for segment, rows in self._by_segment(self._which(t)):
-            y[rows] = segment.at(t[rows])
+        y = np.zeros((len(t), self._width))
+        for k, rows in self._by_segment(self._which(t)):
+            states = self.segments[k].at(t[rows])
+            y[rows, : states.shape[1]] = states
         return y
 
     def states(self, t: Array) -> State | ShapeState:
@@ -117,25 +149,29 @@ class Motion:
     def samples(self, t: Array) -> tuple[Sample, Array]:
         """Return the states at times (T,) that forces depend on, and force parameters, (T, p)."""
         y, which = self.reduced(t), self._which(t)
-        numbers = np.array([self._numbers(self.segments[k]) for k in which])
+        numbers = np.array(self.numbers(t)).reshape(len(t), -1)
         parts, order = [], []
-        for segment, rows in self._by_segment(which):
-            parts.append(self.flow.samples(t[rows], y[rows], segment.parameters))
+        for k, rows in self._by_segment(which):
+            parameters = self.segments[k].parameters
+            parts.append(self.flow_of(k).samples(t[rows], y[rows], parameters))
             order.append(rows)
         inverse_order = np.argsort(np.concatenate(order))
         return map_samples(lambda columns: np.concatenate(columns)[inverse_order], parts), numbers
 
     def numbers(self, t: Array) -> list[Array]:
         """Return the force parameters (p,) at each of times (T,)."""
-        return [self._numbers(self.segments[k]) for k in self._which(t)]
+        return [self._numbers(k) for k in self._which(t)]
 
     def changes(self, t: Array) -> Changes:
         """Return reduced states and their rates at times (T,), without round-off of the time."""
         y, which = np.array(self.reduced(t)), self._which(t)
-        y[:, self.flow.clock] = t[:, None]
-        rates = np.empty_like(y)
-        for segment, rows in self._by_segment(which):
-            rates[rows] = self.flow.rates(t[rows], y[rows], segment.parameters)
+        rates = np.zeros_like(y)
+        for k, rows in self._by_segment(which):
+            flow, parameters = self.flow_of(k), self.segments[k].parameters
+            states = y[rows, : len(flow.y0)]
+            states[:, flow.clock] = t[rows, None]
+            y[rows, : len(flow.y0)] = states
+            rates[rows, : len(flow.y0)] = flow.rates(t[rows], states, parameters)
         return Changes(which, y, rates)
 
     def beside(self, t: Array, changes: Changes, s: Array) -> Array:
@@ -157,21 +193,23 @@ class Motion:
     def _states(self, t: Array, y: Array, which: Indices) -> State | ShapeState:
         """Compute full states from reduced states of several segments."""
         parts, order = [], []
-        for segment, rows in self._by_segment(which):
-            parts.append(self.flow.states(t[rows], y[rows], segment.parameters))
+        for k, rows in self._by_segment(which):
+            parts.append(self.flow_of(k).states(t[rows], y[rows], self.segments[k].parameters))
             order.append(rows)
         inverse_order = np.argsort(np.concatenate(order))
         return map_arrays(lambda *columns: np.concatenate(columns)[inverse_order], *parts)
 
-    def _by_segment(self, which: Indices) -> Iterator[tuple[Segment, Indices]]:
-        """Yield each segment that `which` contains, with the indices of the times in it."""
+    def _by_segment(self, which: Indices) -> Iterator[tuple[int, Indices]]:
+        """Yield the index of each segment in `which`, with the indices of the times in it."""
         order = np.argsort(which, kind="stable")
         firsts = np.flatnonzero(np.diff(which[order], prepend=-1))
         for first, last in pairwise([*firsts.tolist(), len(order)]):
-            yield self.segments[which[order[first]]], order[first:last]
+            yield int(which[order[first]]), order[first:last]
 
-    def _numbers(self, segment: Segment) -> Array:
-        return segment.parameters[self.flow.numbers_at]
+    def _numbers(self, k: int) -> Array:
+        """Return the force parameters of the scene in segment k, (p,)."""
+        numbers: Array = self.segments[k].parameters[self.flow.numbers_at]
+        return numbers
 
     def _which(self, t: Array) -> Indices:
         """Return the segment index of each time; a stop belongs to the segment that it ends."""
@@ -267,8 +305,8 @@ def follow(
             if record is not None:
                 record.begin(part)
             segment = integrate(part.start, part.end, y, part.parameters, stopping, record)
-            if watch is not None and watch.look(segment):
-                segments += cut_at_event(watch, segment, integrate)
+            if watch is not None and watch.look(segment) and watch.end is not None:
+                segments += cut_at(watch.end.t, segment, integrate)
                 break
             segments.append(segment)
             t, part = part.end, None

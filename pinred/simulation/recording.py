@@ -13,7 +13,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +31,7 @@ from ..system.body_parameters import refuse_vague
 from ..system.catalogue import bundled_robots
 from ..system.load import is_path
 from ..system.state_fields import FIELDS, Axis, ShapeState, State
+from .impacts import ImpactTable, no_impacts, table_in
 from .over_time import OverTime
 from .trajectory_files import lock_in, parameters_in, save
 
@@ -68,6 +69,7 @@ class Recording(OverTime):
         origin: Arrays of the file that state how the robot was loaded.
         confirmed: Whether the user named the robot.  Otherwise only a robot known by name or a
             file in the folder of the recording is loaded.
+        impacts: The impacts at joint stops.
     """
 
     path: Path
@@ -77,6 +79,7 @@ class Recording(OverTime):
     content: State | ShapeState
     origin: Mapping[str, Any]
     confirmed: bool = False
+    impacts: ImpactTable = field(default_factory=lambda: no_impacts(0))
 
     def __repr__(self) -> str:
         end = float(self.t[-1])
@@ -152,10 +155,19 @@ def read_recording(path: str | Path, robot: str | None = None) -> Recording:
         path, str(content["robot"]), str(content["group"]),
         tuple(map(str, np.atleast_1d(content["joints"]))), _read_states(path, content),
         origin if robot is None else origin | {"source": str(robot)}, robot is not None,
+        _read_impacts(path, content),
     )  # fmt: skip
     if robot is not None:
         _ = recording.system  # If the user named a robot, report its errors immediately.
     return recording
+
+
+def _read_impacts(path: Path, content: Mapping[str, Any]) -> ImpactTable:
+    """Return the impacts in a file.  Raises LoadError if they are not a table."""
+    try:
+        return table_in(content, GROUPS[str(content["group"])].dim)
+    except ValueError as error:
+        raise LoadError(f"{quoted_path(path)}: {error}") from None
 
 
 def _read_states(path: Path, content: Mapping[str, Any]) -> State | ShapeState:

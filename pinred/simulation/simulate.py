@@ -96,6 +96,10 @@ def simulate(
         if done is None and engine == "compiled" and isinstance(plan.method, EqualSteps):
             done = _notice_of(plan.method, scene.end)
         trajectory = _simulated(plan, engine, done, check=check, checkpoint=file)
+    if explain and scene.bounds:
+        from .explain import explain_modes
+
+        print(explain_modes(trajectory))
     for notice in trajectory.run.notices:
         warnings.warn(notice, AccuracyWarning, stacklevel=3)
     beyond = excess_notice(trajectory.plan, trajectory.motion, trajectory.outputs)
@@ -150,7 +154,13 @@ def _simulated(
     """Return the trajectory of a plan; with `check`, one whose steps skip no force."""
     again = partial(simulate, plan.scene, engine=engine, check=check)
     run: Callable[[Plan], Trajectory]
-    if engine == "compiled":
+    if plan.scene.bounds:
+        from .run_with_stops import refuse_with_stops, run_with_stops
+
+        expect_integration(plan.method)
+        refuse_with_stops(plan, engine, check=check, checkpoint=checkpoint is not None)
+        run = partial(run_with_stops, progress=progress, again=again)
+    elif engine == "compiled":
         expect_integration(plan.method)  # before the kernels are imported
         from .compiled.run_compiled import run_compiled
 

@@ -118,7 +118,7 @@ def resolve(plan: Plan, run: Callable[[Plan], Trajectory], engine: Engine) -> Tr
 
 def _steps_of(limits: StepLimits, trajectory: Trajectory) -> Iterator[Steps]:
     """Yield the steps between stops, of spans that contain steps to be checked."""
-    motion, flow = trajectory.motion, trajectory.motion.flow
+    motion = trajectory.motion
     chosen: Iterable[int] = range(len(motion.segments))
     parts, rest = divmod(len(motion.knots) - 1, max(1, motion.steps))
     if parts and not rest:  # Each step has the same number of parts.
@@ -128,7 +128,7 @@ def _steps_of(limits: StepLimits, trajectory: Trajectory) -> Iterator[Steps]:
         knots = segment.knots
         parts = -(-(len(knots) - 1) // max(1, segment.steps))  # of each step, rounded up
         ends = np.append(knots[:-1:parts], knots[-1])
-        yield Steps(ends, segment.at, partial(_rates, flow, segment.parameters))
+        yield Steps(ends, segment.at, partial(_rates, motion.flow_of(k), segment.parameters))
 
 
 def _rates(flow: ReducedFlow, parameters: Array, t: Array, y: Array) -> Array:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from .balances import EnergyBalance, MomentumBalance
     from .control import ControlAction
     from .events import Crossings
+    from .impacts import ImpactTable
     from .limit_excess import LimitTable
     from .motion import Motion
 
@@ -163,15 +164,30 @@ class Trajectory(OverTime):
     @cached_property
     def driving_torques(self) -> Array:
         """Torques that drive the prescribed joints, in their order, (T, k) [N·m | N]."""
-        from .balances import driving_torques
+        from .balances import torques_of_motion
 
-        return driving_torques(self.plan, self.t, *self.motion.samples(self.t))
+        return torques_of_motion(self.plan, self.motion, self.t)[0]
+
+    @cached_property
+    def impacts(self) -> ImpactTable:
+        """Impacts at joint stops: times, joints, impulses, lost energies and momenta."""
+        from .impacts import no_impacts
+
+        impacts = self.motion.impacts
+        return no_impacts(self.system.r) if impacts is None else impacts
+
+    @cached_property
+    def stop_reactions(self) -> Array:
+        """Reactions of the stops at which joints rest, (T, m) [N·m | N]; zero for other joints."""
+        from .balances import torques_of_motion
+
+        return torques_of_motion(self.plan, self.motion, self.t)[1]
 
     @cached_property
     def limits(self) -> LimitTable:
         """Limits of joints in the robot's file, with the extremes of positions, rates and efforts.
 
-        No simulation enforces them.
+        `stops="file"` enforces the position limits; no simulation enforces the others.
         """
         from .limit_excess import limit_table
 
@@ -181,11 +197,12 @@ class Trajectory(OverTime):
     def torques(self) -> Array:
         """Torques on the joints, (T, m) [N·m | N]: of springs, forces, controllers and loads.
 
-        Gravity is not included.  A prescribed joint has the torque that its motion needs.
+        Gravity is not included.  A prescribed joint has the torque that its motion needs.  The
+        torque on a joint that rests at its stop includes the reaction of the stop.
         """
         from .balances import joint_torques
 
-        return joint_torques(self.plan, self.t, *self.motion.samples(self.t))
+        return joint_torques(self.plan, self.motion, self.t)
 
     def _further_variables(self) -> dict[str, Any]:
         attributes = {"units": torque_unit(self.system), "long_name": "Torques on the joints"}

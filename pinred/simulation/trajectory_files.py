@@ -29,6 +29,7 @@ from ..system.robot_file_contents import Origin
 from ..system.state_fields import FIELDS, arrays_of, axis_labels, dimension
 from ..system.system import System
 from ..system.variants import nominal
+from .impacts import ImpactTable, impact_arrays
 from .over_time import OverTime
 
 SUFFIXES, FOLDERS = (".npz", ".csv", ".h5", ".zarr", ".xml"), (".zarr",)  # formats, and folders
@@ -41,6 +42,7 @@ def save(traj: OverTime, path: str | Path) -> None:
     and `joints`.  The arrays `source`, `lock_joints`, `lock_sizes`, `lock_values`, `gravity`,
     `root`, `balls` and `parameter_names`, `parameter_sizes`, `parameter_values` state how load()
     finds the robot; `derivation` is a JSON text that states how it was joined or cut.
+    The arrays `impact_t`, `impact_joint` and so on are the columns of the impacts.
     .csv has a row for each time and columns such as `pose.x`, `x.hinge`, `xi.vx` and `energy`.
     .h5 (HDF5, written by h5py) has the arrays of .zarr with names of dimensions, labels, units and
     long names, as xarray and netCDF readers understand them.
@@ -80,7 +82,9 @@ def _write_keyframes(traj: OverTime, file: BinaryIO) -> None:
 
 
 def _arrays(traj: OverTime) -> dict[str, Any]:
-    return {**robot_arrays(traj.system), **arrays_of(traj.outputs)}
+    arrays = {**robot_arrays(traj.system), **arrays_of(traj.outputs)}
+    table: ImpactTable | None = getattr(traj, "impacts", None)  # batches have none
+    return arrays if table is None else arrays | impact_arrays(table)
 
 
 def robot_arrays(system: System) -> dict[str, Any]:
@@ -217,7 +221,11 @@ def _write_hdf5(traj: OverTime, file: BinaryIO) -> None:
     buffer = BytesIO()  # HDF5 reads what it has written.
     with h5py.File(buffer, "w") as root:
         for name in arrays.keys() - stored.keys():
-            root.attrs[name] = arrays[name].tolist()
+            if name.startswith("impact_"):  # attributes hold 64 kB at most
+                kind = h5py.string_dtype() if arrays[name].dtype.kind == "U" else float
+                root.create_dataset(name, data=arrays[name].tolist(), dtype=kind)
+            else:
+                root.attrs[name] = arrays[name].tolist()
         for name, array in stored.items():
             data = root.create_dataset(name, data=array)
             data.attrs.update(field_attributes(system, name))

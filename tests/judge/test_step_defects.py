@@ -356,7 +356,7 @@ def test_defects_use_at_most_200_steps() -> None:
 def test_last_step_is_always_sampled() -> None:
     """Errors of the last step have no time to decay; the random choice of 3000 steps misses it."""
     knots = np.arange(3001.0)
-    traj: Any = SimpleNamespace(motion=SimpleNamespace(knots=knots))
+    traj: Any = SimpleNamespace(motion=SimpleNamespace(step_spans=(knots[:-1], knots[1:])))
     steps = _sampled_steps(traj, 200)
     assert steps[-1] == 2999
     assert (np.diff(steps) > 0).all()

@@ -26,6 +26,7 @@ from ..event import Event
 from ..input_formats import parse_control, parse_controls, parse_method
 from ..random_state import DURATION
 from ..scene import ENGINES, Engine, Scene
+from ..stop import Stop, parse_stops
 from .documents import read_document, robot_in
 from .file_place import Place, naming, one_line, unknown
 from .force_kinds import FORCES
@@ -104,6 +105,7 @@ class _Builder:
             "method": self._method,
             "prescribed": lambda value, at: self._by_joint(value, at, self.signals.motion),
             "springs": self._per_joint,
+            "stops": self._stops,
             "controls": self._controls,
             "forces": lambda value, at: [self._force(v, at / k) for k, v in enumerate(value)],
             "events": lambda value, at: [self._event(v, at / k) for k, v in enumerate(value)],
@@ -271,6 +273,14 @@ class _Builder:
         joints = [joint.name for joint in self.system.space.joints]
         if name not in (*joints, *self.system.shape_names, *self.system.followers):
             place.fail(unknown(name, "joint", joints, "the joints are"))
+
+    def _stops(self, value: Any, place: Place) -> Any:
+        """Return 'file', or the stops by joint; tables become Stops."""
+        if not isinstance(value, dict):
+            return value
+        with naming(place):
+            tables = {name: Stop(**e) for name, e in value.items() if isinstance(e, dict)}
+            return {**value, **parse_stops({**value, **tables}, self.system)}
 
     def _controls(self, values: Mapping[str, Any], place: Place) -> dict[str, Any]:
         """Convert the controls of actuators; formulas of time alone stay texts."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -99,6 +99,58 @@ class CompiledFlow:
         columns = (a[members] for a in (self.y0, self.parameters, self.path))  # type: ignore[call-overload]
         tables = None if self.tables is None else self.tables[members]
         return CompiledFlow(self.kernel, tables, *columns)
+
+    def in_mode(self, plan: Plan) -> CompiledFlow:
+        """Return the flow of the same run with other prescribed joints, without a state.
+
+        Args:
+            plan: Plan of the run's scene with other prescribed joints.
+        Returns:
+            The flow. Its base has the same constant momentum and centre-of-mass path.
+        """
+        kernel = kernel_of(plan, zero_momentum=self.kernel.structure.zero_momentum)
+        layout, constants = kernel.layout, _constants(plan, NO_DIFFERENCES, kernel)
+        columns = [
+            self.parameters[: layout.base.spin], np.zeros(len(layout.constant_pi)),
+            constants.gravity[list(layout.gravity)], constants.bodies,
+            self.path[: layout.com_path], constants.numbers,
+        ]  # fmt: skip
+        y0 = np.zeros(layout.size)
+        return CompiledFlow(kernel, _tables_of(plan), y0, np.concatenate(columns), self.path)
+
+    def resumed(
+        self, t: float, x: Array, pi: Array, before: CompiledFlow, y: Array
+    ) -> CompiledFlow:
+        """Return the flow from a state at any time, with the base of another flow of the run.
+
+        Args:
+            t: Time [s].
+            x: Shape, (nx,) [rad | m | 1].
+            pi: Canonical momenta in the frame of the centre of mass, (m,).
+            before: Flow that provides the base.
+            y: Its reduced state, (k,).
+        Returns:
+            The flow.
+        """
+        layout, other = self.kernel.layout, before.kernel.layout
+        base = y[other.base_at : other.base_at + other.base.size]
+        y0 = np.concatenate([*layout.shape_entries(x, pi), base, [t] * layout.clock])
+        parameters, first = self.parameters.copy(), layout.base.spin
+        parameters[first : first + len(layout.constant_pi)] = pi[layout.constant_pi]
+        return replace(self, y0=y0, parameters=parameters)
+
+    def canonical_momenta(self, t: float, y: Array) -> tuple[Array, Array, Array]:
+        """Return the shape, its rate, and its canonical momenta, from a reduced state (k,)."""
+        layout, where = self.kernel.layout, self.kernel.where
+        y = y[: layout.size]
+        outputs = self.kernel.evaluate_outputs(t, y, self.parameters, self.path)
+        pi = np.empty(self.kernel.system.m)
+        pi[list(layout.active)] = y[layout.pairs : layout.pairs + len(layout.active)]
+        pi[layout.ball_pi] = y[layout.balls_at : layout.balls_at + len(layout.ball_pi)]
+        first = layout.base.spin
+        pi[layout.constant_pi] = self.parameters[first : first + len(layout.constant_pi)]
+        pi[list(layout.prescribed)] = outputs[where.driven_pi]
+        return np.array(outputs[where.fields["x"]]), np.array(outputs[where.xdot]), pi
 
     @property
     def numbers_at(self) -> slice:
@@ -260,7 +312,13 @@ def kernel_of(
         all_momenta: Whether constant momenta of symmetric balls are integrated, too.
     Returns:
         The kernel; plans of the same structure and force expressions share it.
+    Raises:
+        InputError: The scene has joint stops, whose modes have kernels of their own.
     """
+    if plan.scene.bounds:  # Runs with stops build kernels of their modes, whose scenes have none.
+        raise InputError(
+            "stops: only simulate and compare take stops. Omit them here, or call simulate"
+        )
     kind = plan.kind(zero_momentum=zero_momentum, generic=generic, all_momenta=all_momenta)
     system, structure, forces = kind.system, kind.structure, kind.forces
     # Texts have cached hashes, unlike structures.

@@ -56,7 +56,11 @@ _NO_TIMES = read_only(np.empty(0))
 
 
 def integrator(
-    flow: CompiledFlow, plan: Plan, progress: Callable[[float], None] | None
+    flow: CompiledFlow,
+    plan: Plan,
+    progress: Callable[[float], None] | None,
+    *,
+    chunk: int | None = None,
 ) -> Integrate:
     """Return the function that integrates a compiled flow from one time of its plan to another.
 
@@ -64,6 +68,7 @@ def integrator(
         flow: The flow of the plan.
         plan: The plan.
         progress: Called repeatedly with the completed fraction of the time, 0 to 1.
+        chunk: Number of steps after which `watch` is first called; None if runs are complete.
     Returns:
         The function, which raises an IntegrationError with time and shape if it fails.
     """
@@ -82,6 +87,7 @@ def integrator(
             layout.quaternions,
             flow.kernel.canonical,
             tangent,
+            chunk,
         )
 
     def whole() -> Integration:
@@ -105,7 +111,7 @@ def integrator(
         keeper: RunKeeper | None = None,
     ) -> Segment:
         # The time of an integration starts at 0; time-dependent equations have the true time in y.
-        is_complete = start == 0.0 and end == scene.end
+        is_complete = chunk is None and start == 0.0 and end == scene.end
         # Pass read-only arrays only: numba would compile another version for writable arrays.
         done = progress and (lambda part: progress((start + part * (end - start)) / scene.end))
         y0 = y0 if y0.size else np.zeros(1)

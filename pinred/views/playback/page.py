@@ -148,6 +148,7 @@ def _head(
                 "largest": largest,
             },
             "ghost": ghost,
+            "impacts": _plain(film.impacts),
             "sphere": sphere,
             "panel": None if panel is None else _panel(panel, blob),
         }

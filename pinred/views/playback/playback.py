@@ -6,14 +6,14 @@ centroidal momentum and composite inertia. The momentum arrow shows the conserve
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
 
 from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
-from ...judge.reference_solution import FullState
+from ...judge.stop_reference import StoppedFullState, full_state_of
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.joints import axes_of
@@ -60,6 +60,7 @@ class Playback(FrozenArrays):
         momentum: The momentum arrow.
         sphere: The momentum in the axes of a body, if requested.
         ghost: The full simulation, if requested.
+        impacts: Times [s] of impacts at joint stops, and the indices of the joints, (K, 2).
     """
 
     system: System
@@ -73,6 +74,7 @@ class Playback(FrozenArrays):
     momentum: Momentum
     sphere: MomentumSphere | None
     ghost: Ghost | None
+    impacts: Array = field(default_factory=lambda: np.empty((0, 2)))
 
 
 def playback(source: MotionSource, view: View) -> Playback:
@@ -98,7 +100,7 @@ def playback(source: MotionSource, view: View) -> Playback:
                 "the trajectory or its scene file with ghost=True"
             )
         ghost = _ghost(source, states.t, placements)
-    return _playback(source.system, states, placements, view.sphere, ghost)
+    return _playback(source, states, placements, view.sphere, ghost)
 
 
 def _frames(source: MotionSource, view: View) -> State:
@@ -151,9 +153,12 @@ def _placements(system: System, q: Array) -> Array:
 def _ghost(traj: Trajectory, t: Array, placements: Array) -> Ghost:
     """Run the full simulation of a trajectory's scene at the scene's tolerance."""
     scene = traj.scene
-    full, start = FullState(scene, traj.motion.replay), scene.start
+    start, full = scene.start, full_state_of(traj)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
-    motion = full.run(y0, t, scene.rtol, scene.atol)
+    if isinstance(full, StoppedFullState):
+        motion = full.solve_with_stops(y0, t, scene.rtol, scene.atol).motion
+    else:
+        motion = full.run(y0, t, scene.rtol, scene.atol)
     reference = _placements(scene.system, motion.q)
     distance = np.linalg.norm(reference[..., :3] - placements[..., :3], axis=-1)
     p, q = reference[..., 3:], placements[..., 3:]  # q and −q are the same rotation
@@ -163,8 +168,9 @@ def _ghost(traj: Trajectory, t: Array, placements: Array) -> Ghost:
 
 
 def _playback(
-    system: System, states: State, placements: Array, body: str | None, ghost: Ghost | None
+    source: MotionSource, states: State, placements: Array, body: str | None, ghost: Ghost | None
 ) -> Playback:
+    system, table = source.system, source.impacts
     q, v = system.sort_q(states.q), system.sort_v(states.v)
     model, data = system.sorted_model, system.sorted_model.createData()
     com, ellipsoid = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
@@ -186,6 +192,7 @@ def _playback(
         momentum=momentum,
         sphere=sphere,
         ghost=ghost,
+        impacts=np.column_stack([table.t, [model.getJointId(name) for name in table.joint]]),
     )
 
 

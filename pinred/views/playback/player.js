@@ -31,6 +31,25 @@
   const weight = heavy && draws.pointer(gravity, 0.5 * head.radius, 0x8c510a, "g");
   if (heavy) put(at.seenThrough(weight, 3), "Gravity");
 
+  const sparks = new Map(); // joint: its flash and the times of its impacts
+  for (const [time, joint] of head.impacts) {
+    if (!sparks.has(joint)) {
+      const glow = new THREE.MeshBasicMaterial({ color: 0xd55e00, transparent: true, opacity: 0 });
+      const ball = new THREE.Mesh(new THREE.SphereGeometry(0.07 * head.radius, 20, 14), glow);
+      sparks.set(joint, { ball: put(at.seenThrough(ball, 6), "Impacts", `${joint}`), times: [] });
+    }
+    sparks.get(joint).times.push(time);
+  }
+  const fade = 0.25 * head.speed; // time of the motion in which a flash fades [s]
+  function flash(t) {
+    for (const [joint, { ball, times: hits }] of sparks) {
+      const last = hits.filter((time) => time <= t).pop();
+      ball.material.opacity = last === undefined ? 0 : Math.max(0, 1 - (t - last) / fade);
+      ball.visible = ball.material.opacity > 0;
+      ball.position.copy(reduced[joint].position);
+    }
+  }
+
   const trail = new THREE.Group(), track = new THREE.BufferGeometry();
   track.setAttribute("position", new THREE.BufferAttribute(com, 3));
   const stub = new THREE.BufferGeometry(); // from the last frame to the current CoM
@@ -73,6 +92,7 @@
     const vector = mix(momentum, 3, k, s);
     at.point(mix(tail, 3, k, s), vector, head.momentum.largest);
     at.markJoints(c);
+    flash(t);
     if (heavy) weight.position.fromArray(c.map((value, i) => value + head.gravity_at[i]));
     if (sphere) {
       sphere.position.fromArray(mix(tail, 3, k, s));

@@ -50,7 +50,8 @@ def shape(motion: MotionSource, *, joints: Sequence[str | int] | None = None) ->
     if x.shape[-1] != len(names.joints):  # draw the rotation vectors of balls
         x = motion.system.space.chart(x)
     title = f"{names.robot}: shape"
-    return _by_joint(title, names, motion.t, x, names.units, joints, what="shape ")
+    figure = _by_joint(title, names, motion.t, x, names.units, joints, what="shape ")
+    return _with_impacts(figure, motion)
 
 
 @checks_arguments
@@ -69,7 +70,8 @@ def rates(motion: MotionSource, *, joints: Sequence[str | int] | None = None) ->
     names = labels(motion)
     names.require(1, "a plot of the rates")
     units = [f"{unit}/s" for unit in names.units]
-    return _by_joint(f"{names.robot}: joint rates", names, motion.t, motion.xdot, units, joints)
+    title = f"{names.robot}: joint rates"
+    return _with_impacts(_by_joint(title, names, motion.t, motion.xdot, units, joints), motion)
 
 
 @checks_arguments
@@ -93,7 +95,18 @@ def torques(traj: Trajectory, *, joints: Sequence[str | int] | None = None) -> F
     names = labels(traj)
     names.require(1, "a plot of the torques")
     units = ["N" if unit == "m" else "N·m" for unit in names.units]
-    return _by_joint(f"{names.robot}: joint torques", names, traj.t, traj.torques, units, joints)
+    title = f"{names.robot}: joint torques"
+    return _with_impacts(_by_joint(title, names, traj.t, traj.torques, units, joints), traj)
+
+
+def _with_impacts(figure: Figure, motion: MotionSource) -> Figure:
+    """Mark the times of impacts at joint stops in all panels."""
+    times = motion.impacts.times
+    for axes in figure.axes if len(times) else []:
+        bottom, top = axes.get_ylim()
+        axes.vlines(times, bottom, top, colors="0.75", linewidths=0.6, zorder=0, label="_impacts")
+        axes.set_ylim(bottom, top)
+    return figure
 
 
 def _by_joint(
@@ -396,7 +409,7 @@ def energy(motion: MotionSource) -> Figure:
             bottom, motion.t, {"energy": motion.energy - motion.energy[0]}, FIELDS["energy"].unit
         )
     _lines(top, motion.t, drawn, entries, f"energy [{FIELDS['energy'].unit}]")
-    return figure
+    return _with_impacts(figure, motion)
 
 
 def _largest_by_quantity(values: Array, linear: int) -> dict[str, Array]:

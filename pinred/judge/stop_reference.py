@@ -1,0 +1,521 @@
+"""The reference solution of a scene with joint stops: ABA between impacts, and its own impulses.
+
+It shares nothing with the reduced simulation but the stops themselves. The state is the full one.
+SciPy's DOP853 integrates it, contacts are found on its dense output, and an impact solves
+H Δv = Eᵀλ with the full mass matrix of Pinocchio's CRBA, the rows E of the stops, and the rows of
+followers and prescribed joints as constraints. Reactions of joints at rest are multipliers of ABA.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain, combinations
+
+import numpy as np
+import pinocchio as pin
+
+from ..common.arrays import Array
+from ..forces.switch_times import time_within
+from ..reduction.inertia_split import symmetric
+from ..scene.scene import Scene
+from ..scene.stop import Stop
+from ..simulation.trajectory import Trajectory
+from .distances import FullMotion
+from .reference_solution import PERTURBATION, FullState
+from .time_budget import AbaStopped, TimeBudget
+
+_LEAST_RTOL = 2.3e-14  # tightest relative tolerance of SciPy's DOP853
+_SAMPLES = 16  # number of times in a step at which gaps and reactions are evaluated
+_SHORTER = 0.5 ** np.arange(1, 41)  # parts of an interval in which a joint may leave and return
+_MOST_TRIED = 12  # largest number of stops for which all sets of impulses are tried
+NEVER = 1e300  # growth of perturbations after they change the order of impacts
+
+Rows = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class StopRow:
+    """One side of the stops of a joint, sign (value − position) ≥ 0.
+
+    Attributes:
+        joint: Name of the joint.
+        side: "lower" or "upper".
+        x: Index of its coordinate in the full state.
+        v: Index of its rate among the velocities.
+        sign: 1 for a lower stop, −1 for an upper one.
+        position: Position of the stop [rad | m].
+        stop: The stops of the joint.
+    """
+
+    joint: str
+    side: str
+    x: int
+    v: int
+    sign: float
+    position: float
+    stop: Stop
+
+
+@dataclass(frozen=True)
+class Hit:
+    """An impulse on one joint.
+
+    Attributes:
+        t: Time [s].
+        joint: Name of the joint.
+        side: The stop, "lower" or "upper".
+        impulse: Impulse on the joint [N·m·s | N·s].
+        speed: Rate towards the stop before the impact [rad/s | m/s].
+    """
+
+    t: float
+    joint: str
+    side: str
+    impulse: float
+    speed: float
+
+
+@dataclass(frozen=True)
+class HybridSolution:
+    """A solution with stops.
+
+    Attributes:
+        motion: The motion at the requested times.
+        states: Full states at these times, (T, n).
+        hits: Impulses, in order of time.
+        grazes: Times [s] just before minima of gaps and slow impacts, with the change of position
+            that adds or removes an impact [rad | m].
+    """
+
+    motion: FullMotion
+    states: Array
+    hits: list[Hit]
+    grazes: list[tuple[float, float]]
+
+
+class StoppedFullState(FullState):
+    """The full state of a scene with stops, whose resting joints are locked by multipliers.
+
+    Attributes:
+        rows: The stops.
+        at_rest: Stops at which joints rest in an own integration; None for those of a trajectory.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        locked: Callable[[float], Sequence[int]],
+        budget: TimeBudget | None = None,
+    ) -> None:
+        """Prepare the vector field.
+
+        Args:
+            scene: The scene.
+            locked: Function from a time to the indices of the shape rates that are locked then.
+            budget: Time limit of all runs together.
+        """
+        super().__init__(replace(scene, stops=None), None, budget)
+        self.rows = _rows_of(scene, self._size, self._r)
+        self.at_rest: Rows | None = None
+        self._rest_of = locked
+        driven = np.zeros((len(self._driven), self._model.nv))
+        driven[np.arange(len(self._driven)), self._r + np.array(self._driven, dtype=np.intp)] = 1.0
+        self._constraints = np.vstack([self.couplings.J, driven])
+        # Rows of the joints of the shape: a locked leader has the multiplier of its own row.
+        self._leads = self._r + self.couplings.leads
+
+    def _rate(self, t: float, y: Array, axes: pin.Convention) -> Array:
+        rate = super()._rate(t, y, axes)
+        normals = self._normals_at(t)
+        if not len(normals):
+            return rate
+        first = len(rate) - self._model.nv
+        response = self.response(self.q(y))
+        block = normals @ response @ normals.T
+        reaction = np.linalg.solve(block, -normals @ rate[first:])
+        rate[first:] += response @ normals.T @ reaction
+        return rate
+
+    def _normals_at(self, t: float) -> Array:
+        """Return the rows of the velocities that are locked at a time, (K, nv)."""
+        if self.at_rest is not None:
+            return self.normals(self.at_rest)
+        locked = list(self._rest_of(t))
+        normals = np.zeros((len(locked), self._model.nv))
+        normals[np.arange(len(locked)), self._leads[locked]] = 1.0
+        return normals
+
+    @property
+    def scene(self) -> Scene:
+        """The scene, without its stops."""
+        return self._scene
+
+    @property
+    def nv(self) -> int:
+        """Number of velocities."""
+        return int(self._model.nv)
+
+    def limited_rate(self, t: float, y: Array, rest: Rows) -> Array:
+        """Return dy/dt with joints at rest; raise AbaStopped at the end of the budget."""
+        self.at_rest = rest
+        try:
+            return self._limited_rate(t, y)
+        finally:
+            self.at_rest = None
+
+    def set_span(self, t: float, end: float) -> float:
+        """Set the parameters of forces after a time; return the time to which they apply [s]."""
+        stop = next((float(stop) for stop in self._stops if stop > t), end)
+        if self._switches.size and self._forces is not None:
+            self._forces.set_span(self._parameters, time_within(t, stop))
+        return min(stop, end)
+
+    def normals(self, rows: Rows) -> Array:
+        """Return the directions away from stops, as rows of the velocities, (K, nv)."""
+        normals = np.zeros((len(rows), self._model.nv))
+        for k, row in enumerate(rows):
+            normals[k, self.rows[row].v] = self.rows[row].sign
+        return normals
+
+    def mass_matrix(self, q: Array) -> Array:
+        """Return Pinocchio's mass matrix at a configuration, (nv, nv)."""
+        return symmetric(pin.crba(self._model, self.system.sorted_data, q))
+
+    def response(self, q: Array) -> Array:
+        """Return the matrix from generalised impulses to changes of the velocity, (nv, nv)."""
+        inverse, C = np.linalg.inv(self.mass_matrix(q)), self._constraints
+        if not len(C):
+            return np.asarray(inverse)
+        return np.asarray(inverse - inverse @ C.T @ np.linalg.solve(C @ inverse @ C.T, C @ inverse))
+
+    def reactions(self, t: float, y: Array, rows: Rows) -> Array:
+        """Return the reactions of stops at which joints rest, away from the stops, (K,)."""
+        self.at_rest = ()
+        try:
+            free = self.rate(t, y)[len(y) - self._model.nv :]
+        finally:
+            self.at_rest = None
+        normals, response = self.normals(rows), self.response(self.q(y))
+        return np.asarray(np.linalg.solve(normals @ response @ normals.T, -normals @ free))
+
+    def resting(self, locked: Sequence[int], y: Array) -> Rows:
+        """Return the stops at which the joints of locked rates rest, at a full state (n,)."""
+        gaps, rows = np.abs(self.gaps(y)), list[int]()
+        for k in locked:
+            mine = [n for n, row in enumerate(self.rows) if self._leader(row) == k]
+            rows.append(min(mine, key=lambda n: gaps[n]))
+        return tuple(rows)
+
+    def _leader(self, row: StopRow) -> int:
+        """Return the index of the shape rate of a joint with a stop, or of its leader."""
+        rates = np.eye(self.system.m)
+        return int(np.argmax(np.abs(self.couplings.rates(rates)[:, row.v - self._r])))
+
+    def gaps(self, y: Array) -> Array:
+        """Return the gaps of all stops at full states, (…, R)."""
+        columns = [row.x for row in self.rows]
+        signs = np.array([row.sign for row in self.rows])
+        return np.asarray(signs * (y[..., columns] - [row.position for row in self.rows]))
+
+    def solve_with_stops(self, y0: Array, times: Array, rtol: float, atol: float) -> HybridSolution:
+        """Integrate from impact to impact.
+
+        Args:
+            y0: Initial state, (n,).
+            times: Increasing times, (T,) [s].
+            rtol: Relative tolerance.
+            atol: Absolute tolerance.
+        Returns:
+            The solution.
+        Raises:
+            AbaStopped: The end cannot be reached at this tolerance, or within the budget.
+        """
+        run = _HybridRun(self, times, rtol, atol)
+        run.integrate(y0)
+        return HybridSolution(self._motion(run.states), run.states, run.hits, run.grazes)
+
+    def growth_with_stops(
+        self, y0: Array, solution: HybridSolution, times: Array, rtol: float, atol: float
+    ) -> tuple[Array, float]:
+        """Compute the growth of a small perturbation, and until when it keeps the impacts.
+
+        Args:
+            y0: Initial state, (n,).
+            solution: The unperturbed solution at `times`.
+            times: Times, (T,) [s].
+            rtol: Relative tolerance of the perturbed run.
+            atol: Absolute tolerance of the perturbed run.
+        Returns:
+            Factors, (T,) non-decreasing, and the time of the first impact that differs [s].
+        """
+        perturbed = self.perturb(y0, self._scene.end, PERTURBATION)
+        for row, gap, before in zip(self.rows, self.gaps(perturbed), self.gaps(y0), strict=True):
+            if gap < 0.0 or before <= PERTURBATION:
+                perturbed[row.x] = y0[row.x]
+        perturbed = self._apply_couplings(perturbed)
+        other = self.solve_with_stops(perturbed, times, rtol, atol)
+        distance = self.distance(solution.motion, other.motion).relative(self.size(solution.motion))
+        growth = np.maximum.accumulate(np.maximum(1.0, distance / PERTURBATION))
+        until = first_difference(solution.hits, other.hits, self.slowest)
+        return growth, until
+
+    @property
+    def slowest(self) -> float:
+        """Speed below which impacts of an accumulation are not compared [rad/s | m/s]."""
+        return 10.0 * max(row.stop.rest_rate for row in self.rows)
+
+
+def full_state_of(traj: Trajectory, budget: TimeBudget | None = None) -> FullState:
+    """Return the full simulation of a trajectory's scene, with its joint stops if it has any.
+
+    Args:
+        traj: The trajectory.
+        budget: Time limit of all runs together.
+    """
+    if not traj.scene.bounds:
+        return FullState(traj.scene, traj.motion.replay, budget)
+
+    def locked(t: float) -> tuple[int, ...]:
+        return next(iter(traj.motion.locked(np.array([t]))))[0]
+
+    return StoppedFullState(traj.scene, locked, budget)
+
+
+class _HybridRun:
+    """One integration with stops; see StoppedFullState.solve_with_stops."""
+
+    def __init__(self, full: StoppedFullState, times: Array, rtol: float, atol: float) -> None:
+        self.full, self.times, self.end = full, times, float(times[-1])
+        self.rtol, self.atol = max(rtol, _LEAST_RTOL), atol
+        self.hits: list[Hit] = []
+        self.grazes: list[tuple[float, float]] = []
+        self._recent: list[tuple[float, Array, Rows]] = []
+        self.states = np.empty((len(times), 0))
+
+    def integrate(self, y: Array) -> None:
+        """Integrate to the last time."""
+        full, t = self.full, 0.0
+        self.states = np.tile(y, (len(self.times), 1))
+        rest: Rows = ()
+        touching = tuple(np.flatnonzero(full.gaps(y) <= 1e-12).tolist())
+        full.set_span(0.0, self.end)
+        if touching:
+            y, rest = self._impact(0.0, y, (), touching, ())
+        while t < self.end:
+            t, y, functions = self._piece(t, y, rest)
+            if functions:
+                count = len(full.rows)
+                released = tuple(rest[k - count] for k in functions if k >= count)
+                touching = tuple(k for k in functions if k < count)
+                y, rest = self._impact(t, y, rest, touching, released)
+
+    def _functions(self, t: float, y: Array, rest: Rows) -> Array:
+        """Return gaps of moving joints, 1 for resting ones, and reactions of resting ones."""
+        gaps = self.full.gaps(y)
+        gaps[list(rest)] = 1.0
+        moving = {self.full.rows[k].x for k in rest}
+        for k, row in enumerate(self.full.rows):
+            if row.x in moving:
+                gaps[k] = 1.0
+        if not rest:
+            return gaps
+        return np.append(gaps, self.full.reactions(t, y, rest))
+
+    def _function(self, k: int, dense: Callable[[float], Array], rest: Rows, t: float) -> float:
+        return float(self._functions(t, dense(t), rest)[k])
+
+    def _piece(self, t: float, y: Array, rest: Rows) -> tuple[float, Array, list[int]]:
+        """Integrate to the next contact, release, switch of forces, or the end."""
+        from scipy.integrate import DOP853
+        from scipy.optimize import brentq
+
+        full, reach = self.full, self.full.set_span(t, self.end)
+        solver = DOP853(
+            lambda s, z: full.limited_rate(s, z, rest), t, y, reach, rtol=self.rtol, atol=self.atol
+        )
+        before = self._functions(t, y, rest)
+        was = np.where(np.abs(before) <= 1e-12 * (1.0 + np.abs(before).max()), 1.0, before)
+        while True:
+            message = solver.step()
+            if solver.status == "failed":
+                raise AbaStopped(f"the full simulation cannot be integrated: {message}", solver.t)
+            dense, earlier, found = solver.dense_output(), float(solver.t_old), []
+            samples = np.linspace(solver.t_old, solver.t, _SAMPLES + 1)[1:].tolist()
+            for s in samples:
+                values = self._functions(s, dense(s), rest)
+                self._find_minima(s, values, rest)
+                crossed = np.flatnonzero((values < 0.0) & (was > 0.0))
+                for k in crossed.tolist():
+                    value = partial(self._function, k, dense, rest)
+                    # A gap that begins at zero may be positive for a short time only.
+                    inside = earlier + (s - earlier) * _SHORTER
+                    low = next((r for r in (earlier, *inside) if value(r) > 0.0), s)
+                    root = brentq(value, low, s, xtol=1e-15, rtol=1e-14) if low < s else earlier
+                    found.append((float(root), k))
+                if found:
+                    break
+                was, earlier = np.where(values < 0.0, was, np.where(values > 0.0, values, was)), s
+            stop = min(found)[0] if found else float(solver.t)
+            rows = slice(*np.searchsorted(self.times, [solver.t_old, stop], side="right"))
+            for k in range(rows.start, rows.stop):
+                self.states[k] = dense(float(self.times[k]))
+            if found:
+                return stop, dense(stop), [k for s, k in found if s <= stop + 1e-13 * self.end]
+            if solver.status == "finished":
+                return float(solver.t), solver.y, []
+
+    def _find_minima(self, t: float, values: Array, rest: Rows) -> None:
+        """Store the minima of gaps, by parabolas through three samples of one mode."""
+        count = len(self.full.rows)
+        self._recent = [each for each in self._recent if each[2] == rest][-2:]
+        self._recent.append((t, values[:count], rest))
+        if len(self._recent) < 3:
+            return
+        (a, first, _), (b, second, _), (c, third, _) = self._recent
+        for k in np.flatnonzero((second < first) & (second < third) & (second > 0.0)).tolist():
+            curve = np.polyfit([a - b, 0.0, c - b], [first[k], second[k], third[k]], 2)
+            least = float(second[k] - curve[1] ** 2 / (4.0 * curve[0]))
+            self.grazes.append((2.0 * a - c, max(least, 0.0)))
+
+    def _impact(
+        self, t: float, y: Array, rest: Rows, touching: Rows, released: Rows
+    ) -> tuple[Array, Rows]:
+        """Return the state after an impact or a release, and the joints that rest."""
+        full, y = self.full, y.copy()
+        first, S = len(y) - full.nv, tuple(sorted({*rest, *touching}))
+        self._recent.clear()
+        rates = full.rate(t, y)[first:]
+        v, rows = y[first:], [full.rows[k] for k in S]
+        normals, response = full.normals(S), full.response(full.q(y))
+        G, u = normals @ response @ normals.T, normals @ v
+        u[[k in rest for k in S]] = 0.0
+        for k in touching:  # the depth that the joint would reach without its stop
+            speed, pull = normals[S.index(k)] @ v, normals[S.index(k)] @ rates
+            if speed < 0.0 < pull and -speed > self.full.slowest:
+                self.grazes.append((float(t + 2.0 * speed / pull), float(speed**2 / (2.0 * pull))))
+        e = np.array([row.stop.restitution for row in rows])
+        usual = complementary(G, (1.0 + e) * u)
+        rebound = np.where(usual > 0.0, -e * u, u + G @ usual)
+        scene, energy = full.scene, 0.5 * v @ full.mass_matrix(full.q(y)) @ v
+        chosen = [
+            k
+            for k, row in enumerate(rows)
+            if rebound[k] <= row.stop.rest_rate and S[k] not in released
+        ]
+        while True:
+            impulse, block = usual.copy(), G[np.ix_(chosen, chosen)]
+            impulse[chosen] -= np.linalg.solve(block, rebound[chosen])
+            y[first:] = v + response @ normals.T @ impulse
+            held = tuple(S[k] for k in chosen)
+            locked = full.reactions(t, y, held) if held else np.empty(0)
+            stays = complementary(block, -block @ locked) > 0.0
+            stays |= (locked >= -1e-12 * energy).all()
+            back = locked / np.diag(np.linalg.inv(block)) if held else locked
+            leaves = [
+                k
+                for k, stay, a in zip(chosen, stays, back, strict=True)
+                if rebound[k] > 0.0
+                and not (
+                    stay
+                    and rebound[k] ** 2 / (2.0 * a)
+                    <= scene.atol + scene.rtol * max(1.0, abs(rows[k].position))
+                )
+            ]
+            if not leaves:
+                break
+            chosen = [k for k in chosen if k not in leaves]
+        for k, row in enumerate(rows):
+            if impulse[k]:
+                strength = row.sign * float(impulse[k])
+                self.hits.append(Hit(t, row.joint, row.side, strength, float(-u[k])))
+        for row in rows:
+            y[row.x] = row.position
+        return y, tuple(row for row, stay in zip(held, stays, strict=True) if stay)
+
+
+def _rows_of(scene: Scene, size: int, r: int) -> list[StopRow]:
+    """Return the stops of a scene, for full states with `size` root coordinates."""
+    joints = {joint.name: joint for joint in scene.system.tree.joints}
+    rows = []
+    for bound in scene.bounds:
+        joint, sign = joints[bound.joint], bound.sign * (1.0 if bound.ratio > 0.0 else -1.0)
+        position = bound.stop.lower if sign > 0.0 else bound.stop.upper
+        at = size + joint.x.start, r + joint.v.start
+        rows.append(StopRow(joint.name, bound.side, *at, sign, position, bound.stop))
+    return rows
+
+
+def complementary(G: Array, q: Array) -> Array:
+    """Solve G z + q ≥ 0, z ≥ 0, z · (G z + q) = 0 by trying sets of positive entries.
+
+    For many entries, projected relaxation finds the set.
+
+    Args:
+        G: Positive definite matrix, (K, K).
+        q: Right side, (K,).
+    Returns:
+        z, (K,).
+    """
+    K = len(q)
+    if K > _MOST_TRIED:
+        z = np.zeros(K)
+        for _ in range(10_000):
+            for k in range(K):
+                z[k] = max(0.0, z[k] - (G[k] @ z + q[k]) / G[k, k])
+        sets: Sequence[Sequence[int]] = [np.flatnonzero(z > 0.0).tolist()]
+    else:
+        sets = list(chain.from_iterable(combinations(range(K), k) for k in range(K + 1)))
+    best, least = np.zeros(K), np.inf
+    for chosen in map(list, sets):
+        z = np.zeros(K)
+        if chosen:
+            z[chosen] = np.linalg.solve(G[np.ix_(chosen, chosen)], -q[chosen])
+        violation = -float(np.concatenate([z, G @ z + q]).min(initial=0.0))
+        if violation < least:
+            best, least = z, violation
+    return best
+
+
+def first_difference(hits: Sequence[Hit], others: Sequence[Hit], slowest: float) -> float:
+    """Return the time of the first impact that only one of two motions has, or inf.
+
+    Slow impacts, with which an accumulation ends, may be missing in either.
+
+    Args:
+        hits: Impulses of one motion.
+        others: Impulses of the other.
+        slowest: Speed below which an impact may be missing [rad/s | m/s].
+    """
+    return matched(hits, others, slowest)[1]
+
+
+def matched(
+    hits: Sequence[Hit], others: Sequence[Hit], slowest: float
+) -> tuple[list[tuple[Hit, Hit]], float]:
+    """Return the pairs of equal impacts up to the first difference, and the time of that, or inf.
+
+    Args:
+        hits: Impulses of one motion.
+        others: Impulses of the other.
+        slowest: Speed below which an impact may be missing [rad/s | m/s].
+    Returns:
+        The pairs, and the time [s].
+    """
+    first = [hit for hit in hits if hit.speed > slowest]
+    second = [hit for hit in others if hit.speed > slowest]
+    pairs, i, j = list[tuple[Hit, Hit]](), 0, 0
+    while i < len(first) and j < len(second):
+        a, b = first[i], second[j]
+        if (a.joint, a.side) == (b.joint, b.side):
+            pairs.append((a, b))
+            i, j = i + 1, j + 1
+        elif a.speed <= 3.0 * slowest:
+            i += 1
+        elif b.speed <= 3.0 * slowest:
+            j += 1
+        else:
+            return pairs, min(a.t, b.t)
+    rest = [hit for hit in (*first[i:], *second[j:]) if hit.speed > 3.0 * slowest]
+    return pairs, min((hit.t for hit in rest), default=np.inf)

@@ -1,0 +1,216 @@
+"""Impacts at joint stops: the impulses, the rates after them, and the table of a motion.
+
+An impulse λ_i on joint i is internal, so the spatial momentum J, the body momentum μ and the locked
+velocity Ω do not change. The canonical momenta change by λ_i alone, and ẋ⁺ = ẋ⁻ + M⁻¹λ with the
+reduced metric M.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..common.argument_kinds import checks_arguments
+from ..common.arrays import Array, FrozenArrays
+
+_PIVOTS = 1e-13  # Impulses below this fraction of the largest count as zero when sets are chosen.
+
+
+@checks_arguments
+@dataclass(frozen=True)
+class ImpactTable(FrozenArrays):
+    """The impacts of a motion, one row for each joint; arrays are read-only.
+
+    Joints that reach their stops together have rows of the same time. The energies of their rows
+    add up to the energy that the impact loses.
+
+    Attributes:
+        t: Times, (K,) [s].
+        joint: Names of the joints, (K,).
+        side: The stop that each joint hits, "lower" or "upper", (K,).
+        impulse: Impulses of the stops on the joints, (K,) [N·m·s | N·s].
+        rate_before: Rates of the joints before the impacts, (K,) [rad/s | m/s].
+        rate_after: Rates of the joints after the impacts, (K,) [rad/s | m/s].
+        energy_lost: Kinetic energy that each impulse removes, (K,) [J].
+        momentum_before: Spatial momenta before the impacts, (K, r) [N·s | N·m·s]; NaN if the scene
+            leaves out the base.
+        momentum_after: Spatial momenta after the impacts, (K, r) [N·s | N·m·s], likewise.
+    """
+
+    t: Array
+    joint: tuple[str, ...]
+    side: tuple[str, ...]
+    impulse: Array
+    rate_before: Array
+    rate_after: Array
+    energy_lost: Array
+    momentum_before: Array
+    momentum_after: Array
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def times(self) -> Array:
+        """The distinct times, (I,) [s]."""
+        return np.unique(self.t)
+
+    @property
+    def rows(self) -> list[tuple[float, str, str, float, float]]:
+        """Time [s], joint, side, impulse and lost energy [J] of each row."""
+        columns = (self.t.tolist(), self.joint, self.side, self.impulse.tolist())
+        return list(zip(*columns, self.energy_lost.tolist(), strict=True))
+
+    def __str__(self) -> str:
+        if not len(self):
+            return "no impacts"
+        width = max(5, *map(len, self.joint))
+        head = f"{'t [s]':>14}  {'joint':<{width}}  stop   {'impulse':>12}  {'lost [J]':>12}"
+        lines = [
+            f"{t:14.9f}  {joint:<{width}}  {side:<5}  {impulse:12.5g}  {lost:12.5g}"
+            for t, joint, side, impulse, lost in self.rows
+        ]
+        return "\n".join([head, *lines])
+
+    def _repr_html_(self) -> str:
+        from ..common.html import card, table
+
+        about = f"{len(self.times)} impacts, {self.energy_lost.sum():.4g} J lost"
+        return card(
+            "impacts",
+            about,
+            table("", ["t [s]", "joint", "stop", "impulse", "lost [J]"], self.rows),
+        )
+
+
+@dataclass(frozen=True)
+class Impact:
+    """The rows of one impact; see ImpactTable.
+
+    Attributes:
+        t: Time [s].
+        joint: Names of the joints.
+        side: Their stops.
+        impulse: Impulses on the joints, (K,).
+        rates: Rates before and after, (2, K).
+        energy_lost: Energy that each impulse removes, (K,) [J].
+    """
+
+    t: float
+    joint: tuple[str, ...]
+    side: tuple[str, ...]
+    impulse: Array
+    rates: Array
+    energy_lost: Array
+
+
+def table_of(impacts: Sequence[Impact], momenta: Array) -> ImpactTable:
+    """Return the table of impacts, with spatial momenta before and after each, (I, 2, r)."""
+    counts = [len(each.joint) for each in impacts]
+    rates = np.hstack([np.empty((2, 0)), *(each.rates for each in impacts)])
+    momenta = np.repeat(momenta, counts, axis=0)
+    return ImpactTable(
+        t=np.repeat([each.t for each in impacts], counts),
+        joint=tuple(name for each in impacts for name in each.joint),
+        side=tuple(side for each in impacts for side in each.side),
+        impulse=np.concatenate([np.empty(0), *(each.impulse for each in impacts)]),
+        rate_before=rates[0],
+        rate_after=rates[1],
+        energy_lost=np.concatenate([np.empty(0), *(each.energy_lost for each in impacts)]),
+        momentum_before=momenta[:, 0],
+        momentum_after=momenta[:, 1],
+    )
+
+
+_IN_FILES = "impact_"  # beginning of the names of a table's arrays in files
+
+
+def impact_arrays(table: ImpactTable) -> dict[str, Array]:
+    """Return the arrays of a table for a file, {name: array}; empty without impacts."""
+    if not len(table):
+        return {}
+    return {f"{_IN_FILES}{name}": np.array(column) for name, column in vars(table).items()}
+
+
+def table_in(content: Mapping[str, Any], r: int) -> ImpactTable:
+    """Return the table of impacts in the arrays of a file.
+
+    Args:
+        content: Arrays of a file by name.
+        r: Number of momentum components.
+    Returns:
+        The table; without rows if the file has no impacts.
+    Raises:
+        ValueError: An array is missing, or has the wrong shape or type.
+    """
+    if f"{_IN_FILES}t" not in content:
+        return no_impacts(r)
+    count, columns = np.size(content[f"{_IN_FILES}t"]), dict[str, Any]()
+    for name in ImpactTable.__dataclass_fields__:
+        values = np.asarray(content.get(f"{_IN_FILES}{name}"))
+        if name in ("joint", "side"):
+            if values.shape != (count,) or values.dtype.kind != "U":
+                raise ValueError(f"its impacts have no {name} of each")
+            columns[name] = tuple(map(str, values))
+            continue
+        shape = (count, r) if name.startswith("momentum") else (count,)
+        if values.shape != shape or values.dtype.kind != "f":
+            raise ValueError(f"its impacts have '{name}' of shape {values.shape}, not {shape}")
+        if not name.startswith("momentum") and not np.isfinite(values).all():
+            raise ValueError(f"its impacts have '{name}' that is not finite")
+        columns[name] = np.array(values)
+    return ImpactTable(**columns)
+
+
+def no_impacts(r: int) -> ImpactTable:
+    """Return an empty table for a system with r momentum components."""
+    return table_of([], np.empty((0, 2, r)))
+
+
+def solve_complementarity(G: Array, q: Array) -> Array:
+    """Solve w = G z + q ≥ 0, z ≥ 0, z · w = 0 for a positive definite matrix G.
+
+    The solution is unique. It minimises ½ zᵀGz + qᵀz over z ≥ 0, which is a problem of nonnegative
+    least squares; the positive entries then solve their linear equations.
+
+    Args:
+        G: Matrix, (K, K).
+        q: Right side, (K,).
+    Returns:
+        z, (K,).
+    """
+    if (q >= 0.0).all():
+        return np.zeros(len(q))
+    z = np.linalg.solve(G, -q)
+    if (z >= 0.0).all():
+        return np.asarray(z)
+    from scipy.optimize import nnls
+
+    # Entries of unit size: joints may differ in unit and inertia.
+    scale = 1.0 / np.sqrt(np.diag(G))
+    L = np.linalg.cholesky(scale[:, None] * G * scale)
+    scaled, _ = nnls(L.T, np.linalg.solve(L, -scale * q))
+    positive = scaled > _PIVOTS * scaled.max(initial=0.0)
+    z = np.zeros(len(q))
+    z[positive] = np.linalg.solve(G[np.ix_(positive, positive)], -q[positive])
+    return z
+
+
+def impulses(G: Array, u: Array, restitution: Array) -> Array:
+    """Compute the impulses at stops that several joints touch at once.
+
+    Newton's law holds at each stop with an impulse: u⁺ = −e u⁻. Joints that would leave their stop
+    faster get none. So u⁺ + e u⁻ ≥ 0, λ ≥ 0, and one of the two is zero. The energy changes by
+    ½ Σ λ (u⁺ + u⁻) = ½ Σ λ (1 − e) u⁻ ≤ 0.
+
+    Args:
+        G: Block (M⁻¹)_SS of the inverse reduced metric, with the signs of the stops, (K, K).
+        u: Rates away from the stops before the impact, (K,); none is positive.
+        restitution: Coefficients of restitution e, (K,).
+    Returns:
+        Impulses λ away from the stops, (K,).
+    """
+    return solve_complementarity(G, (1.0 + restitution) * u)

@@ -1,0 +1,716 @@
+"""Simulation with joint stops: a sequence of modes, and the impacts between them.
+
+A mode is a set of joints that rest at their stops. Within a mode, the motion is that of the system
+with these joints locked: a smaller shape space with the same symmetry group and momentum. The
+integration of a mode ends when another joint reaches its stop, or when the reaction of a stop would
+pull. Between two integrations, only canonical momenta of the joints at their stops change. The base
+variables of the reduced state are copied, so not even round-off changes the spatial momentum.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
+from itertools import pairwise
+from math import comb
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..common.arrays import Array, read_only
+from ..common.errors import InputError, IntegrationError
+from ..common.names import listed
+from ..common.progress import Progress
+from ..forces.tracking import PD, ComputedTorque
+from ..integrators.methods import ErrorControl
+from ..reduction.inertia_split import symmetric
+from ..reduction.pointwise_reduction import PointwiseReduction
+from ..scene.option_checks import list_forces
+from ..scene.scene import Scene
+from ..scene.stop import Bound
+from ..system.coordinates import Indices
+from ..system.state_fields import ShapeState, State
+from .balances import driving_torques
+from .compiled.compiled_flow import CompiledFlow
+from .compiled.integrator import integrator
+from .events import RootSearch, Watch, cut_at
+from .impacts import Impact, ImpactTable, impulses, solve_complementarity, table_of
+from .integrate_plan import Again, trajectory_of_motion
+from .motion import Motion
+from .plan import Plan, plan_of
+from .reduced_flow import Integrate, ReducedFlow, Segment
+from .sample import Sample
+from .trajectory import Cost, Trajectory
+
+_CHUNK = 8  # Number of steps after which stops are first looked for.
+_ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # of a position, relative
+_LEAST_GAP = 1e-18  # Smallest margin of a gap, for stops at zero [rad | m].
+_CLINGING = 1e-12  # Pull of a stop that counts as round-off, per kinetic energy [1/rad | 1/m].
+_AT_REST = 1e-13  # Rate at a stop that counts as zero, relative to the largest rate.
+_NEWTON = 0.6  # Largest part of a step in which a single root is polished.
+_MOST_NEWTON, _SAME = 100, 1e-16  # Steps for a root, and the change at which it is found.
+MOST_IMPACTS = 100_000  # Largest number of impacts of one run.
+
+Rest = tuple[Bound, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """The motion with some joints at rest at their stops.
+
+    Attributes:
+        rest: The stops at which joints rest.
+        moving: Bounds of the other joints.
+        start: Flow of the mode, with a meaningless state.
+        integrate: Integrator of the flow.
+    """
+
+    rest: Rest
+    moving: tuple[Bound, ...]
+    start: CompiledFlow
+    integrate: Integrate
+
+    @property
+    def label(self) -> str:
+        """The joints at rest in words."""
+        if not self.rest:
+            return "no joint at rest"
+        return listed([f"{bound.joint} at its {bound.side} stop" for bound in self.rest], 8)
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A part of a motion without impacts inside.
+
+    Attributes:
+        mode: The mode.
+        start: Start time [s].
+        flow: Flow from the state at the start.
+        impact: The impact at the start, or None.
+        segments: The segments.
+        numbers: Force parameters of the scene, without locked joints, in each segment.
+    """
+
+    mode: Mode
+    start: float
+    flow: CompiledFlow
+    impact: Impact | None
+    segments: list[Segment] = field(default_factory=list)
+    numbers: list[Array] = field(default_factory=list)
+
+
+class StoppedMotion(Motion):
+    """A motion with stops: segments of several flows.
+
+    At the time of an impact, the state is that before it. Force parameters are those of the scene,
+    without locked joints.
+    """
+
+    def __init__(self, phases: Sequence[Phase], before: CompiledFlow, watch: Watch | None) -> None:
+        """Store a motion.
+
+        Args:
+            phases: The phases, in order of time.
+            before: Flow from the initial state, before an impact at the start.
+            watch: Detection of events.
+        """
+        super().__init__(
+            before, [segment for p in phases for segment in p.segments], varies=True, watch=watch
+        )
+        self._phases, self._before = phases, before
+        # Reduced states of all modes are filled up with zeros to one length.
+        self._width = max(len(phase.flow.y0) for phase in phases)
+        self._of_segment = [phase for phase in phases for _ in phase.segments]
+        self._own_numbers = [numbers for phase in phases for numbers in phase.numbers]
+
+    @cached_property
+    def impacts(self) -> ImpactTable:
+        """The impacts."""
+        impacts, momenta, flow, y = [], [], self._before, self._before.y0
+        for phase in self._phases:
+            if phase.impact is not None:
+                t = np.array([phase.start])
+                states = [flow.states(t, y[None])]
+                states.append(phase.flow.states(t, phase.flow.y0[None]))
+                impacts.append(phase.impact)
+                momenta.append([momentum_of(state, self._before) for state in states])
+            flow, y = phase.flow, phase.flow.y0
+            for last in phase.segments[-1:]:
+                y = last.at(np.array([last.end]))[0]
+        shape = len(impacts), 2, self._before.kernel.system.r
+        return table_of(impacts, np.array(momenta).reshape(shape))
+
+    @property
+    def modes(self) -> tuple[tuple[float, str], ...]:
+        """Start time [s] and name of each mode, in order of time."""
+        modes: list[tuple[float, str]] = []
+        for phase in self._phases:
+            if not modes or modes[-1][1] != phase.mode.label:
+                modes.append((phase.start, phase.mode.label))
+        return tuple(modes)
+
+    @property
+    def step_spans(self) -> tuple[Array, Array]:
+        """Starts and ends of all steps; see Motion.step_spans."""
+        starts = self.knots[:-1].copy()
+        jumps = np.isin(starts, [phase.start for phase in self._phases])
+        starts[jumps] = np.nextafter(starts[jumps], np.inf)
+        return starts, self.knots[1:]
+
+    def flow_of(self, k: int) -> ReducedFlow:
+        """Return the flow of segment k."""
+        return self._of_segment[k].flow
+
+    def _numbers(self, k: int) -> Array:
+        return self._own_numbers[k]
+
+    def locked(self, t: Array) -> Iterator[tuple[tuple[int, ...], Indices]]:
+        """Yield the rates of the joints at rest; see Motion.locked."""
+        for k, rows in self._by_segment(self._which(t)):
+            yield tuple(bound.v for bound in self._of_segment[k].mode.rest), rows
+
+
+def momentum_of(state: State | ShapeState, flow: CompiledFlow) -> Array:
+    """Return the spatial momentum (r,) of a single state; NaN if the base is left out."""
+    if isinstance(state, State):
+        return np.asarray(state.spatial_momentum[0])
+    return np.full(flow.kernel.system.r, np.nan)
+
+
+class _StopSearch(RootSearch):
+    """The search for the next impact or release in a mode.
+
+    Within a step, the dense output of a gap is a polynomial. If its Bernstein coefficients are
+    positive, it has no root, so no contact is missed. Reactions, and gaps of prescribed joints, are
+    sampled like events.
+    """
+
+    def __init__(self, plan: Plan, mode: Mode, flow: CompiledFlow, numbers: Array, cling: float):
+        """Prepare the search from the start of a phase.
+
+        Args:
+            plan: The plan of the scene.
+            mode: The mode.
+            flow: Its flow.
+            numbers: Force parameters of the scene, (p,).
+            cling: Pull of a stop that counts as round-off.
+        """
+        layout, bounds = flow.kernel.layout, mode.moving
+        at = {v: k for k, v in enumerate(layout.active)}
+        at |= {v: 2 * layout.pairs + k for k, v in enumerate(layout.cyclic)}
+        self._polynomial = [k for k, bound in enumerate(bounds) if bound.v in at]
+        self._driven = [k for k, bound in enumerate(bounds) if bound.v not in at]
+        count = len(self._driven) + len(mode.rest)
+        super().__init__(np.ones(count), range(count))
+        self._plan, self._mode, self._flow, self._numbers = plan, mode, flow, numbers
+        self._cling = cling
+        self._columns = [at[bounds[k].v] for k in self._polynomial]
+        self._sides = np.array([bound.sign for bound in bounds])
+        positions = np.array([bound.position for bound in bounds])
+        margins = np.array([margin_of(bound) for bound in bounds])
+        self._offsets = margins - self._sides * positions
+        self._nodes, self._bernstein = bernstein(plan.method.order)
+        self.found: list[tuple[float, Bound]] = []
+
+    def look(self, segment: Segment) -> bool:
+        """Search the new steps of a segment; return whether an impact or a release was found."""
+        if self.found or segment.end <= self._reached:
+            return bool(self.found)
+        knots = segment.knots
+        step_ends = knots[max(int(np.searchsorted(knots, self._reached)) - 1, 0) :]
+        if self._polynomial:
+            self._search_steps(segment, step_ends)
+        if self._sampled:
+            functions = [*(self._mode.moving[k] for k in self._driven), *self._mode.rest]
+            crossings = self.roots(segment, step_ends)
+            self.found += [(root.t, functions[root.event]) for root in crossings if not root.rising]
+        self._reached = segment.end
+        self.found.sort(key=lambda root: root[0])
+        return bool(self.found)
+
+    def _search_steps(self, segment: Segment, step_ends: Array) -> None:
+        """Find the first roots of gaps whose dense output is a polynomial in each step."""
+        starts, lengths = step_ends[:-1], np.diff(step_ends)
+        times = starts[:, None] + lengths[:, None] * self._nodes
+        y = segment.at(times.ravel())[:, self._columns].reshape(*times.shape, -1)
+        gaps = self._sides[self._polynomial] * y + self._offsets[self._polynomial]
+        coefficients = np.einsum("ij,sjb->sib", self._bernstein, gaps)
+        for step in np.flatnonzero((coefficients <= 0.0).any(axis=(1, 2))).tolist():
+            for k in np.flatnonzero((coefficients[step] <= 0.0).any(axis=0)).tolist():
+                part = first_root(coefficients[step, :, k])
+                if part is not None:
+                    time = float(starts[step] + part * lengths[step])
+                    self.found.append((time, self._mode.moving[self._polynomial[k]]))
+            if self.found:
+                return
+
+    def values(self, segment: Segment, t: Array) -> Array:
+        """Return the gaps of prescribed joints and the reactions of resting ones, (E, T)."""
+        samples = self._flow.samples(t, segment.at(t), segment.parameters)
+        x = samples.x[:, [self._mode.moving[k].x for k in self._driven]].T
+        gaps = self._sides[self._driven, None] * x + self._offsets[self._driven, None]
+        if not self._mode.rest:
+            return np.asarray(gaps)
+        reactions = reactions_of(self._plan, self._mode.rest, t, samples, self._numbers)
+        return np.asarray(np.vstack([gaps, reactions.T + self._cling]))
+
+
+@cache
+def bernstein(degree: int) -> tuple[Array, Array]:
+    """Return nodes in [0, 1] and the matrix from values there to Bernstein coefficients.
+
+    Args:
+        degree: Degree of the polynomials.
+    Returns:
+        Nodes, (degree + 1,), and the matrix, (degree + 1, degree + 1).
+    """
+    nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)
+    basis = [comb(degree, k) * nodes**k * (1.0 - nodes) ** (degree - k) for k in range(degree + 1)]
+    return nodes, np.asarray(np.linalg.inv(np.array(basis).T))
+
+
+def first_root(coefficients: Array) -> float | None:
+    """Return the first point of [0, 1] where a polynomial falls to zero, or None.
+
+    The polynomial is divided by de Casteljau's algorithm until one part has a single change of
+    sign. Bernstein coefficients of one sign exclude a root.
+
+    Args:
+        coefficients: Bernstein coefficients, (degree + 1,); the first one is positive.
+    Returns:
+        The root, or None.
+    """
+    parts = [(0.0, 1.0, coefficients)]
+    while parts:
+        a, b, c = parts.pop()
+        if (c > 0.0).all():
+            continue
+        middle = 0.5 * (a + b)
+        if not a < middle < b:
+            return a
+        changes = np.count_nonzero(np.diff(np.signbit(c)))
+        if changes == 1 and c[0] > 0.0 and c[-1] < 0.0 and b - a < _NEWTON:
+            return a + (b - a) * _polish(c)
+        left, right = _halves(c)
+        parts += [(middle, b, right), (a, middle, left)]
+    return None
+
+
+def _halves(c: Array) -> tuple[Array, Array]:
+    """Return the Bernstein coefficients of a polynomial on both halves of its interval."""
+    rows = [c]
+    while len(rows[-1]) > 1:
+        rows.append(0.5 * (rows[-1][:-1] + rows[-1][1:]))
+    return np.array([row[0] for row in rows]), np.array([row[-1] for row in rows[::-1]])
+
+
+def _polish(c: Array) -> float:
+    """Return the only root of a polynomial in [0, 1] by Newton's method with bisection.
+
+    Args:
+        c: Bernstein coefficients; the first one is positive, the last one negative.
+    """
+    degree = len(c) - 1
+    values, slopes = c.tolist(), (degree * np.diff(c)).tolist()
+    low, high, s = 0.0, 1.0, float(c[0] / (c[0] - c[-1]))
+    for _ in range(_MOST_NEWTON):
+        value = _at(values, s)
+        low, high = (s, high) if value > 0.0 else (low, s)
+        slope = _at(slopes, s)
+        new = s - value / slope if slope < 0.0 else low
+        if not low < new < high:
+            new = 0.5 * (low + high)
+        if abs(new - s) <= _SAME:
+            return new
+        s = new
+    return s
+
+
+def _at(coefficients: list[float], s: float) -> float:
+    """Evaluate a polynomial at s from its Bernstein coefficients."""
+    row, r = coefficients, 1.0 - s
+    while len(row) > 1:
+        row = [r * a + s * b for a, b in pairwise(row)]
+    return row[0]
+
+
+def margin_of(bound: Bound) -> float:
+    """Return the gap that counts as contact [rad | m]."""
+    return max(_ROUND_OFF * abs(bound.position), _LEAST_GAP)
+
+
+def reactions_of(plan: Plan, rest: Rest, t: Array, samples: Sample, numbers: Array) -> Array:
+    """Return the reactions of the stops at which joints rest, away from the stops, (T, R).
+
+    Args:
+        plan: The plan of the scene.
+        rest: The stops.
+        t: Times, (T,) [s].
+        samples: States that forces depend on.
+        numbers: Force parameters of the scene, (p,).
+    """
+    locked, rows = [bound.v for bound in rest], np.tile(numbers, (len(t), 1))
+    torques = driving_torques(plan, t, samples, rows, locked)[:, len(plan.acting.driven) :]
+    return np.asarray(torques * np.array([bound.sign for bound in rest]))
+
+
+@dataclass(frozen=True)
+class _State:
+    """A state between two phases.
+
+    Attributes:
+        t: Time [s].
+        flow: Flow that leads to this state.
+        y: Reduced state, (k,).
+    """
+
+    t: float
+    flow: CompiledFlow
+    y: Array
+
+    @cached_property
+    def values(self) -> tuple[Array, Array, Array]:
+        """Shape, its rate, and its canonical momenta."""
+        return self.flow.canonical_momenta(self.t, self.y)
+
+
+@dataclass(frozen=True)
+class _Contact:
+    """Stops that joints touch at one time.
+
+    Attributes:
+        bounds: The stops.
+        u: Rates away from the stops, (K,).
+        G: Inverse reduced metric with the signs of the stops, (K, K).
+        may_rest: Whether each joint may rest: False for those that are just released, (K,).
+    """
+
+    bounds: Rest
+    u: Array
+    G: Array
+    may_rest: NDArray[np.bool_]
+
+
+class _Run:
+    """One run with stops."""
+
+    def __init__(self, plan: Plan, progress: Progress | None) -> None:
+        self.plan, self.scene, self.bounds = plan, plan.scene, plan.scene.bounds
+        self.progress, self.system = progress, plan.system
+        self._free = replace(self.scene, stops=None, events=())
+        free_plan = self._limited(self._free)
+        self.first = CompiledFlow.of_plan(free_plan)
+        integrate = integrator(self.first, free_plan, progress, chunk=_CHUNK)
+        self._modes: dict[Rest, Mode] = {(): Mode((), self.bounds, self.first, integrate)}
+        self._reduction = self.system.workspace(
+            PointwiseReduction, lambda: PointwiseReduction(self.system)
+        )
+        # Rates that impacts change, and the index of each rate among them.
+        self._rates = list(plan.acting.free)
+        self._impacts, self.building = 0, 0.0
+        watched = self.scene.watched
+        self.watch = None if watched is None else Watch(self.scene, self.first, watched)
+
+    def _limited(self, scene: Scene) -> Plan:
+        return plan_of(scene).limited(self.plan.longest, self.plan.stops[:-1])
+
+    def mode(self, rest: Rest) -> Mode:
+        """Return a mode, built at its first use."""
+        mode = self._modes.get(rest)
+        if mode is None:
+            began = time.perf_counter()
+            locked = {bound.v for bound in rest}
+            plan = self._limited(self._locked(rest))
+            flow = self.first.in_mode(plan)
+            moving = tuple(bound for bound in self.bounds if bound.v not in locked)
+            integrate = integrator(flow, plan, self.progress, chunk=_CHUNK)
+            mode = self._modes[rest] = Mode(rest, moving, flow, integrate)
+            self.building += time.perf_counter() - began
+        return mode
+
+    def _locked(self, rest: Rest) -> Scene:
+        """Return the scene with some joints locked at their stops."""
+        scene, start = self._free, self._free.start
+        x, xdot, names = start.x.copy(), start.xdot.copy(), self.system.shape_names
+        for bound in rest:
+            x[bound.x], xdot[bound.v] = bound.position, 0.0
+        plans = {names[bound.v]: bound.position for bound in rest}
+        return replace(
+            scene, x0=x, xdot0=xdot, xi0=start.xi, pose0=start.pose, momentum=None, seed=None,
+            keyframe=None, q0=None, v0=None, prescribed={**scene.prescribed, **plans},
+        )  # fmt: skip
+
+    def motion(self) -> StoppedMotion:
+        """Integrate from impact to impact."""
+        end, phases = self.scene.end, list[Phase]()
+        x = self._free.start.x
+        touching = [bound for bound in self.bounds if self._gap(bound, x) <= 0.0]
+        state = _State(0.0, self.first, self.first.y0)
+        phase = Phase(self.mode(()), 0.0, self.first, None)
+        if touching:
+            phase = self._resolve(state, (), touching, released=())
+        while True:
+            phases.append(phase)
+            state, search = self._follow(phase)
+            if state.t >= end or search is None:
+                return StoppedMotion(phases, self.first, self.watch)
+            phase = self._next(state, phase.mode, search)
+
+    def _follow(self, phase: Phase) -> tuple[_State, _StopSearch | None]:
+        """Integrate a phase to the next impact or release; without a search, it ends the motion."""
+        flow, mode, t, y = phase.flow, phase.mode, phase.start, phase.flow.y0
+        cling = self._cling(flow, t, y) if mode.rest else 0.0
+        if self.watch is not None:
+            self.watch.flow = flow
+        for stop in self.plan.stops[self.plan.stops > t].tolist():
+            parameters = read_only(flow.parameters_between(t, stop))
+            own = self.first.parameters_between(t, stop)[self.first.numbers_at]
+            search = _StopSearch(self.plan, mode, flow, own, cling)
+            segment = mode.integrate(t, stop, read_only(y), parameters, search.look)
+            is_hit = search.look(segment)
+            parts = cut_at(search.found[0][0], segment, mode.integrate) if is_hit else [segment]
+            if not parts:
+                raise IntegrationError(
+                    f"stops: '{self.system.name}' cannot leave its stop at t = {t:g} s. Increase "
+                    "rest_rate, or loosen the tolerances"
+                )
+            for part in parts:
+                ended = self.watch is not None and self.watch.look(part)
+                if ended and self.watch is not None and self.watch.end is not None:
+                    t = self.watch.end.t
+                    cut = cut_at(t, part, mode.integrate)
+                    phase.segments.extend(cut)
+                    phase.numbers.extend([own] * len(cut))
+                    return _State(t, flow, y), None
+                phase.segments.append(part)
+                phase.numbers.append(own)
+            t = parts[-1].end
+            y = np.array(parts[-1].at(np.array([t]))[0])
+            if is_hit:
+                return _State(t, flow, y), search
+        return _State(t, flow, y), None
+
+    def _next(self, state: _State, mode: Mode, search: _StopSearch) -> Phase:
+        """Return the phase after an impact or a release."""
+        x, xdot, _ = state.values
+        first, within = search.found[0][0], self.scene.rtol * self.scene.end
+        together = {bound for time, bound in search.found if time <= first + within}
+        released = tuple(bound for bound in mode.rest if bound in together)
+        touching = []
+        for bound in mode.moving:
+            u, gap = bound.sign * xdot[bound.v], self._gap(bound, x)
+            if bound in together or gap <= 0.0 or (u < 0.0 and gap <= -u * within):
+                touching.append(bound)
+        self._refuse_driven(touching, state.t)
+        return self._resolve(state, mode.rest, touching, released)
+
+    def _refuse_driven(self, touching: Sequence[Bound], t: float) -> None:
+        for bound in touching:
+            if bound.v in self.plan.acting.driven:
+                raise InputError(
+                    f"prescribed: the motion of joint '{bound.joint}' runs into its {bound.side} "
+                    f"stop at t = {t:g} s. Change its motion, or omit its stop"
+                )
+
+    def _resolve(
+        self, state: _State, rest: Rest, touching: Sequence[Bound], released: Rest
+    ) -> Phase:
+        """Apply the impact at the stops that joints touch, and choose the joints that rest."""
+        x, xdot, pi = map(np.copy, state.values)
+        among = {*rest, *touching}
+        bounds = tuple(bound for bound in self.bounds if bound in among)
+        for bound in bounds:
+            x[bound.x] = bound.position
+        v, sign = [b.v for b in bounds], np.array([b.sign for b in bounds])
+        rows = [self._rates.index(k) for k in v]
+        inverse = self._inverse_metric(x, rows)
+        G = sign[:, None] * inverse[rows] * sign
+        small = _AT_REST * float(np.abs(xdot).max(initial=0.0))
+        u = sign * xdot[v]
+        u[[bound in rest for bound in bounds]] = 0.0
+        may_rest = np.array([bound not in released for bound in bounds])
+        contact = _Contact(bounds, np.where(np.abs(u) <= small, 0.0, u), 0.5 * (G + G.T), may_rest)
+        impulse, after, resting = self._outcome(state, contact, x, xdot, inverse, sign)
+        pi[v] += sign * impulse
+        new = self.mode(tuple(b for b, stays in zip(bounds, resting, strict=True) if stays))
+        flow = new.start.resumed(state.t, x, pi, state.flow, state.y)
+        impact = _impact(state.t, contact, impulse, after)
+        self._count(impact, state.t)
+        return Phase(new, state.t, flow, impact)
+
+    def _outcome(
+        self, state: _State, contact: _Contact, x: Array, xdot: Array, inverse: Array, sign: Array
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return the impulses, the rates after them, and the joints that rest, (K,) each.
+
+        Slow rebounds become rest if the joint stays at its stop. Whether it does depends on the
+        other joints, so the decision is repeated without those that leave.
+        """
+        bounds, u, G = contact.bounds, contact.u, contact.G
+        e = np.array([bound.stop.restitution for bound in bounds])
+        slowest = np.array([bound.stop.rest_rate for bound in bounds])
+        positions = np.array([abs(bound.position) for bound in bounds])
+        allowed = self.scene.atol + self.scene.rtol * np.maximum(1.0, positions)
+        usual = impulses(G, u, e)
+        rebound = np.where(usual > 0.0, -e * u, u + G @ usual)
+        slow = contact.may_rest & (rebound <= slowest)
+        while True:
+            chosen, impulse, after = np.flatnonzero(slow), usual.copy(), rebound.copy()
+            block = G[np.ix_(chosen, chosen)]
+            if rebound[chosen].any():  # project the rates onto those of resting joints
+                removed = np.linalg.solve(block, -rebound[chosen])
+                impulse[chosen] += removed
+                after += G[:, chosen] @ removed
+            after[chosen] = 0.0
+            resting = np.zeros(len(bounds), dtype=bool)
+            height = np.full(len(bounds), np.inf)
+            if chosen.size:
+                rates = xdot.copy()
+                rates[self._rates] += inverse @ (sign * impulse)
+                rest = tuple(bounds[k] for k in chosen)
+                resting[chosen], back = self._stays(state, rest, block, x, rates)
+                height[chosen] = rebound[chosen] ** 2 / (2.0 * np.maximum(back, 1e-300))
+            leaves = slow & (rebound > 0.0) & ~(resting & (height <= allowed))
+            if not leaves.any():
+                return impulse, after, resting
+            slow &= ~leaves
+
+    def _stays(
+        self, state: _State, rest: Rest, G: Array, x: Array, xdot: Array
+    ) -> tuple[NDArray[np.bool_], Array]:
+        """Return which joints stay at their stops, and their accelerations back if they left.
+
+        The accelerations a away from the stops and the reactions R obey a = G (R − R_locked) ≥ 0,
+        R ≥ 0, and a or R is zero; R_locked are the reactions if all joints stay.
+        """
+        sample = self._sample(state, x, xdot)
+        own = self.first.parameters_between(state.t, self._stop_after(state.t))
+        numbers = own[self.first.numbers_at]
+        t = np.array([state.t])
+        locked = reactions_of(self.plan, rest, t, sample, numbers)[0]
+        energy = self._energy(x, xdot, sample.xi[0])
+        back = locked / np.diag(np.linalg.inv(G))
+        if (locked >= -_CLINGING * energy).all():
+            return np.ones(len(rest), dtype=bool), back
+        return solve_complementarity(G, -G @ locked) > 0.0, back
+
+    def _sample(self, state: _State, x: Array, xdot: Array) -> Sample:
+        """Return the sample at a state with other rates of the shape and the same momentum."""
+        sample = state.flow.samples(np.array([state.t]), state.y[None], state.flow.parameters)
+        split = self._reduction.split(x)
+        xi = sample.xi[0] + split.local_connection @ (sample.xdot[0] - xdot)
+        base = sample.base
+        if base is not None:
+            base = replace(base, xi=base.xi + split.local_connection @ (sample.xdot[0] - xdot))
+        return replace(sample, x=x[None], xdot=xdot[None], xi=xi[None], base=base)
+
+    def _stop_after(self, t: float) -> float:
+        later = self.plan.stops[self.plan.stops > t]
+        return float(later[0]) if later.size else self.scene.end
+
+    def _energy(self, x: Array, xdot: Array, xi: Array) -> float:
+        """Return the kinetic energy relative to the centre of mass [J]."""
+        return float(self._reduction.split(x).kinetic_energy(xdot, xi))
+
+    def _cling(self, flow: CompiledFlow, t: float, y: Array) -> float:
+        """Return the pull of a stop that counts as round-off [N·m | N]."""
+        x, xdot, _ = flow.canonical_momenta(t, y)
+        sample = flow.samples(np.array([t]), y[None], flow.parameters)
+        return 2.0 * _CLINGING * self._energy(x, xdot, sample.xi[0])
+
+    def _count(self, impact: Impact | None, t: float) -> None:
+        self._impacts += impact is not None
+        if self._impacts > MOST_IMPACTS:
+            raise IntegrationError(
+                f"stops: '{self.system.name}' has more than {MOST_IMPACTS} impacts before "
+                f"t = {t:g} s. Increase rest_rate, or simulate a shorter time"
+            )
+
+    def _inverse_metric(self, x: Array, columns: Sequence[int]) -> Array:
+        """Return columns of the inverse reduced metric of the rates that impacts change.
+
+        It is the block of the inverse mass matrix that belongs to these rates.
+        """
+        system, r = self.system, self.system.r
+        q = system.sorted_q(system.group.identity(), x)
+        upper = pin.crba(system.sorted_model, system.sorted_data, q)
+        kept = np.array([*range(r), *(r + k for k in self._rates)])
+        H = system.coupled_matrix(symmetric(upper))[np.ix_(kept, kept)]
+        unit = np.zeros((len(kept), len(columns)))
+        unit[r + np.array(columns), np.arange(len(columns))] = 1.0
+        return np.asarray(np.linalg.solve(H, unit)[r:])
+
+    @staticmethod
+    def _gap(bound: Bound, x: Array) -> float:
+        return float(bound.sign * (x[bound.x] - bound.position)) - margin_of(bound)
+
+
+def _impact(t: float, contact: _Contact, impulse: Array, after: Array) -> Impact | None:
+    """Return the rows of an impact; None without impulses."""
+    rows = np.flatnonzero(impulse)
+    if not rows.size:
+        return None
+    bounds, u = [contact.bounds[k] for k in rows], contact.u[rows]
+    sign = np.array([bound.sign for bound in bounds])
+    ratio = np.array([bound.ratio for bound in bounds])
+    return Impact(
+        t=t,
+        joint=tuple(bound.joint for bound in bounds),
+        side=tuple(bound.side for bound in bounds),
+        impulse=sign * impulse[rows] / ratio,
+        rates=np.array([sign * u, sign * after[rows]]) * ratio,
+        energy_lost=-0.5 * impulse[rows] * (u + after[rows]),
+    )
+
+
+def run_with_stops(plan: Plan, progress: Progress | None, again: Again) -> Trajectory:
+    """Return the trajectory of a plan whose scene has stops, with the compiled engine.
+
+    Args:
+        plan: The plan.
+        progress: Called repeatedly with the completed fraction of the time, 0 to 1.
+        again: Function that simulates the scene again; see Trajectory.
+    Returns:
+        The trajectory.
+    Raises:
+        InputError: A prescribed joint runs into its stop.
+        IntegrationError: The integrator cannot continue, or there are too many impacts.
+    """
+    run = _Run(plan, progress)
+    started = time.perf_counter()
+    motion = run.motion()
+    wall = time.perf_counter() - started - run.building  # kernels are built once
+    cost = Cost("compiled", plan.method.name, motion.steps, motion.evaluations, wall, plan.notices)
+    return trajectory_of_motion(plan, motion, cost, again)
+
+
+def refuse_with_stops(plan: Plan, engine: str, *, check: bool, checkpoint: bool) -> None:
+    """Reject options of a simulation that do not act together with stops.
+
+    Args:
+        plan: The plan of a scene with stops.
+        engine: Name of the engine.
+        check: Whether steps are checked for skipped forces.
+        checkpoint: Whether a checkpoint is written.
+    Raises:
+        InputError: An option does not act together with stops; the message has the remedy.
+    """
+    forces, method = plan.forces, plan.method
+    reference = any(isinstance(f, (PD, ComputedTorque)) for f in list_forces(plan.scene.forces))
+    refused = {
+        "engine 'pinocchio'. Use the compiled engine": engine != "compiled",
+        "checkpoint. Omit it": checkpoint,
+        "check. Omit it": check,
+        "controllers. Use forces or controls that are functions of time and state": bool(
+            forces is not None and forces.held
+        ),
+        f"method {method.name}. Use DOP853, Tsit5 or auto": not isinstance(method, ErrorControl)
+        or method.symplectic,
+        "forces with a reference. Use torques that are functions of the state": reference,
+    }
+    for words, is_refused in refused.items():
+        if is_refused:
+            raise InputError(f"stops: expected none with {words}, or omit stops")

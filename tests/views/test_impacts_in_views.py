@@ -1,0 +1,75 @@
+"""Impacts at joint stops in plots, playback and its ghost."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_playback_in_browser import complaints, picture_at, show
+
+import pinred
+from pinred.views.playback.headless_browser import Browser
+from pinred.views.playback.playback import playback
+from pinred.views.playback.view_options import View
+
+
+@pytest.fixture(scope="module")
+def bouncing_cat() -> pinred.Trajectory:
+    """Return a motion with three impacts."""
+    traj = pinred.simulate(
+        pinred.load("falling_cat"), xdot0=[3.0, -2.0, 1.0], duration=1.0,
+        stops={"bend": (-0.6, 0.6, 0.5), "sway": (-0.5, 0.5, 0.6)},
+    )  # fmt: skip
+    assert len(traj.impacts) == 3
+    return traj
+
+
+@pytest.mark.parametrize("kind", ["shape", "rates", "energy"])
+def test_plots_mark_the_times_of_impacts(
+    bouncing_cat: pinred.Trajectory, tmp_path: Path, kind: str
+) -> None:
+    """Plots of motions and of their recordings have a line at each impact in every panel."""
+    bouncing_cat.save(tmp_path / "motion.npz")
+    for motion in (bouncing_cat, pinred.read_recording(tmp_path / "motion.npz")):
+        for axes in pinred.plot(motion, kind).axes:
+            (marks,) = (c for c in axes.collections if c.get_label() == "_impacts")
+            times = [path.vertices[0, 0] for path in marks.get_paths()]
+            np.testing.assert_array_equal(times, bouncing_cat.impacts.times)
+    free = pinred.simulate(pinred.load("falling_cat"), duration=0.1)
+    assert not any(axes.collections for axes in pinred.plot(free, "shape").axes)
+
+
+def test_playback_flashes_at_joints_and_its_ghost_hits_the_same_stops(
+    bouncing_cat: pinred.Trajectory, tmp_path: Path
+) -> None:
+    """The page has time and joint of each impact; the full simulation bounces as well."""
+    film = playback(bouncing_cat, View(fps=20.0, ghost=True))
+    model, table = film.system.sorted_model, bouncing_cat.impacts
+    np.testing.assert_array_equal(film.impacts[:, 0], table.t)
+    assert [model.names[int(k)] for k in film.impacts[:, 1]] == list(table.joint)
+    assert film.ghost is not None
+    assert film.ghost.apart.max() < 1e-8
+    page = tmp_path / "cat.html"
+    pinred.save_html(bouncing_cat, page, fps=20.0)
+    head = re.search(r'"impacts": (\[.*?\]\]|\[\])', page.read_text(encoding="utf-8"))
+    assert head is not None
+    assert json.loads(head[1]) == film.impacts.tolist()
+
+
+@pytest.mark.browser
+def test_browser_shows_a_flash_after_an_impact(
+    bouncing_cat: pinred.Trajectory, tmp_path: Path, screen: Browser
+) -> None:
+    """Orange pixels appear at an impact and have faded a moment later; the page has no error."""
+    page = tmp_path / "cat.html"
+    pinred.save_html(bouncing_cat, page, fps=100.0)
+    counts, time = [], float(bouncing_cat.impacts.t[0])
+    show(screen, page.as_uri())
+    for t in (time - 0.02, time + 0.01, time + 0.11):
+        image = picture_at(screen, t).astype(float)
+        counts.append(int((image[..., 0] - image[..., 2] > 100.0).sum()))
+    assert complaints(screen) == []
+    assert counts[1] > 3 * max(counts[0], 10)
