@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_playback_in_browser import complaints, picture_at, show
+from test_playback_in_browser import complaints, count_different, picture_at, show
 
 import pinred
 from pinred.views.playback.headless_browser import Browser
@@ -63,13 +63,11 @@ def test_playback_flashes_at_joints_and_its_ghost_hits_the_same_stops(
 def test_browser_shows_a_flash_after_an_impact(
     bouncing_cat: pinred.Trajectory, tmp_path: Path, screen: Browser
 ) -> None:
-    """Orange pixels appear at an impact and have faded a moment later; the page has no error."""
+    """The picture changes at once at an impact, while the robot hardly moves; there is no error."""
     page = tmp_path / "cat.html"
     pinred.save_html(bouncing_cat, page, fps=100.0)
-    counts, time = [], float(bouncing_cat.impacts.t[0])
+    time = float(bouncing_cat.impacts.t[-1])
     show(screen, page.as_uri())
-    for t in (time - 0.02, time + 0.01, time + 0.11):
-        image = picture_at(screen, t).astype(float)
-        counts.append(int((image[..., 0] - image[..., 2] > 100.0).sum()))
+    earlier, before, after = (picture_at(screen, time + dt) for dt in (-2e-5, -1e-5, 1e-5))
     assert complaints(screen) == []
-    assert counts[1] > 3 * max(counts[0], 10)
+    assert count_different(before, after) > 3 * count_different(earlier, before) + 100

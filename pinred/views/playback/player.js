@@ -35,8 +35,9 @@
   for (const [time, joint] of head.impacts) {
     if (!sparks.has(joint)) {
       const glow = new THREE.MeshBasicMaterial({ color: 0xd55e00, transparent: true, opacity: 0 });
-      const ball = new THREE.Mesh(new THREE.SphereGeometry(0.07 * head.radius, 20, 14), glow);
-      sparks.set(joint, { ball: put(at.seenThrough(ball, 6), "Impacts", `${joint}`), times: [] });
+      const ball = new THREE.Mesh(new THREE.SphereGeometry(0.1 * head.radius, 20, 14), glow);
+      put(at.seenThrough(ball, 6), "Impacts", `${joint}`);
+      sparks.set(joint, { ball, times: [] });
     }
     sparks.get(joint).times.push(time);
   }
