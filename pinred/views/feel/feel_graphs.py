@@ -1,4 +1,4 @@
-"""CasADi functions of the page: base twist, curvature, and placements of the joints.
+"""CasADi functions of the page: base twist, curvature, placements, closed loops.
 
 Twists and momenta are those of Pinocchio's root joint in space, (6,) [linear; angular].  Shapes are
 coordinates w of `Connection.in_chart`, in which a ball is a rotation vector.
@@ -6,20 +6,33 @@ coordinates w of `Connection.in_chart`, in which a ball is a rotation vector.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import casadi as ca
 import numpy as np
+import pinocchio as pin
 
 from ...analysis.connections.connection import Connection
 from ...common.arrays import Array
 from ...kernels.connection.connection_form import momentum_velocity_graph, velocity_graph
-from ...reduction.symbolic_placements import Placement, all_joint_values, joint_frames, rotate
+from ...reduction.symbolic_placements import (
+    Placement,
+    all_joint_values,
+    compose,
+    fixed_placement,
+    inverse,
+    joint_frames,
+    rotate,
+)
 from ...reduction.tree.momenta import bracket
 from ...system.joints import axes_of
+from ...system.loops.joint_laws import JointLaw
+from ...system.loops.kinematics import loop_ends, rotation_axes
+from ...system.loops.loop import JointPolynomial, Loop
+from ...system.loops.looped_system import loop_kinematics
 from ...system.system import System
-from .loop_graph import loop_graph
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,3 +120,56 @@ def _function(name: str, inputs: list[ca.SX], output: ca.SX) -> ca.Function:
     parts = [y[int(a) : int(b)] for a, b in pairwise(ends)]
     inner = ca.Function(name, inputs, [ca.densify(output)], {"cse": True})
     return ca.Function(name, [y], [inner(*parts)], {"cse": True})
+
+
+def loop_graph(
+    system: System, w: ca.SX, values: Sequence[ca.SX], frames: Sequence[Placement]
+) -> ca.SX:
+    """Return the independent equations φ and their Jacobian ∂φ/∂w, column by column, (k + k m,).
+
+    Args:
+        system: The system, with loops.
+        w: Coordinates of the open tree, (m,).
+        values: Coordinates of all joints of the tree, as functions of w.
+        frames: Placements of the joints relative to the root body, by Pinocchio's index.
+    Returns:
+        The expressions.
+    """
+    closure = system.closure
+    assert closure is not None
+    rows = [row for loop in system.loops for row in _equations(system, loop, values, frames)]
+    lengths = loop_kinematics(system).is_length
+    scaled = [row / closure.length if lengths[k] else row for k, row in enumerate(rows)]
+    phi = ca.vertcat(*(scaled[k] for k in closure.rows.tolist()))
+    return ca.vertcat(phi, ca.vec(ca.densify(ca.jacobian(phi, w))))
+
+
+def _equations(
+    system: System,
+    loop: Loop | JointPolynomial,
+    values: Sequence[ca.SX],
+    frames: Sequence[Placement],
+) -> list[ca.SX]:
+    """Return the equations of one loop, in the order of LoopKinematics."""
+    if isinstance(loop, JointPolynomial):
+        follower, leader = (
+            values[system.tree.joints[i - 2].x.start]
+            for i in JointLaw(system.sorted_model, loop).joints
+        )
+        by = leader - loop.leader_zero
+        law = sum(c * by**k for k, c in enumerate(loop.coefficients))
+        return [follower - loop.follower_zero - law]
+    a, b = (
+        compose(frames[end.joint], fixed_placement(pin.SE3(end.placement)))
+        for end in loop_ends(system.sorted_model, loop)
+    )
+    p, q = compose(inverse(a), b)
+    position = [p[0], p[1], p[2]]
+    if loop.kind == "3d":
+        return position
+    columns: list[Array] = [np.eye(3)[k] for k in range(3)]
+    R = ca.horzcat(*(rotate(q, ca.SX(column)) for column in columns))
+    if loop.kind == "6d":
+        turn = [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]
+        return [*position, *(0.5 * entry for entry in turn)]
+    return [*position, *(R[i, k] for i, k in rotation_axes(loop.kind))]

@@ -1,4 +1,4 @@
-"""play() and Player: a server of one page for browsers on this machine only.
+"""A server of one page for browsers on this machine only, and pages inside notebook cells.
 
 meshcat's server listens on every interface. This server is bound to 127.0.0.1 and answers only
 requests with that host name, so that a foreign site cannot redirect its host name to this server.
@@ -11,6 +11,7 @@ import os
 import sys
 import threading
 import webbrowser
+from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from numbers import Integral
@@ -18,11 +19,11 @@ from typing import Any
 
 from ...common.errors import InputError, OutputError
 from ..motion_source import MotionSource
-from .inline_frame import inline_frame, is_notebook
 from .page import page
 from .view_options import View
 
 HOST = "127.0.0.1"
+_HEIGHT = 520  # initial height of a page in a notebook cell, whose user can resize it [px]
 
 
 class Player:
@@ -217,3 +218,30 @@ def run(player: Player, words: str, *, show: bool, wait: bool | None) -> Player:
         if not wait:
             raise
     return player
+
+
+def inline_frame(content: bytes) -> str:
+    """Return an HTML element that shows a page in a notebook cell, without a server.
+
+    Args:
+        content: The page, in UTF-8.
+    Returns:
+        A resizable iframe.  The page in it has no access to the notebook.
+    """
+    page = escape(content.decode("utf-8"), quote=True)
+    return (
+        f'<div style="position:relative;resize:vertical;overflow:hidden;height:{_HEIGHT}px;'
+        'min-height:240px">'
+        f'<iframe sandbox="allow-scripts" title="pinred" srcdoc="{page}" '
+        # marimo puts an element of its own between these two, so a height of 100 % has no effect.
+        'style="position:absolute;top:0;left:0;width:100%;height:calc(100% - 8px);border:0">'
+        "</iframe></div>"
+    )
+
+
+def is_notebook() -> bool:
+    """Return whether the process is the kernel of a notebook, which displays results as HTML."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    if getattr(shell, "kernel", None) is not None:
+        return True
+    return bool(getattr(sys.modules.get("marimo"), "running_in_notebook", lambda: False)())
