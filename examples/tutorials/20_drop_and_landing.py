@@ -1,12 +1,14 @@
 # %% [markdown]
 # # 20. solo12 drops and lands
 #
-# A quadruped falls, turns in flight, and meets the ground with one foot. The ground stops this foot
+# A quadruped falls, turns in flight, hits the stops of its legs, and meets the ground with one foot. The ground stops this foot
 # dead: an impulse acts on it alone, and all velocities jump. From then on, the robot is a pendulum
 # about the foot. Of its six symmetries only the rotation about the vertical is left. It needs the
 # extra `robots`.
 
 # %%
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 
@@ -20,21 +22,25 @@ feet = [name[:2] + "_FOOT" for name in solo.shape_names if name.endswith("HAA")]
 
 # %% [markdown]
 # ## Flight
-# Springs and dampers hold the legs, as simple servos do. At the start only the trunk rotates. A
-# formula such as height['FL_FOOT'] watches a foot: where the first one comes down to the ground,
+# Springs and dampers hold the legs, as simple servos do, and stops limit their motion. At the start
+# only the trunk rotates, so the legs swing into their stops; these impulses are internal. A formula such as height['FL_FOOT'] watches a foot: where the first one comes down to the ground,
 # the flight ends.
 
 # %%
-servos = [Spring(name, 4.0, angle) for name, angle in stand.items()]
+servos: list[Spring | Damper] = [Spring(name, 4.0, angle) for name, angle in stand.items()]
 servos += [Damper(name, 0.1) for name in stand]
 touches = [pinred.Event(f"height['{foot}']", foot, terminal=True, direction=-1) for foot in feet]
-# Options of the flight: limits of the legs belong here.
-options = {"x0": stand, "forces": servos, "events": touches, "duration": 2.0}
+stops = {name: (angle - 0.01, angle + 0.01) for name, angle in stand.items()}
+options: dict[str, Any] = {
+    "x0": stand, "forces": servos, "stops": stops, "events": touches, "duration": 2.0,
+}  # fmt: skip
 flight = pinred.simulate(
     solo, pose0=[0, 0, 0.6, 0, 0, 0, 1], xi0=[0, 0, 0, 0.6, -0.9, 0.0], **options
 )
 foot = str(flight.ended_by)
 print(f"{foot} meets the ground at t = {flight.t[-1]:.6f} s")
+print(f"{len(flight.impacts)} impacts at stops, the first:")
+print(*str(flight.impacts).splitlines()[:2], sep="\n")
 fallen = 0.5 * 9.81 * flight.t[-1] ** 2
 frames = solo.model.createData()
 start, end = (pin.centerOfMass(solo.model, frames, q)[2] for q in flight.q[[0, -1]])

@@ -102,7 +102,7 @@ def judge_impacts(chain: Chain) -> tuple[ImpactReport, ...]:
     """Return the errors of all impacts of a chain."""
     return tuple(
         judge_impact(impact, f"at t = {phase.end:g} s: ")
-        for phase, impact in zip(chain.phases, chain.impacts, strict=False)
+        for phase, impact in zip(chain.phases, chain.between, strict=False)
         if impact is not None
     )
 

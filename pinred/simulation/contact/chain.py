@@ -8,7 +8,7 @@ lands.  A phase with fewer freedoms is a motion of this system, too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -30,6 +30,7 @@ from ...system.derived_systems import (
 )
 from ...system.state_fields import State, arrays_of
 from ...system.system import System
+from ..impacts import ImpactTable
 from ..recording import Recording
 from ..trajectory import Trajectory
 from .capture import Capture, Release, mass_matrix
@@ -81,18 +82,19 @@ class Chain(Recording):
         origin: Arrays of a recording; empty.
         confirmed: Whether the user named the robot; it is known.
         phases: The phases.
-        impacts: What happens after each phase except the last: a Capture, Release or Landing, or
+        between: What happens after each phase except the last: a Capture, Release or Landing, or
             None.
+        impacts: The impacts at joint stops in all phases.
         whole: The system that contains the robots of all phases; `system` is the same.
     """
 
     phases: tuple[Phase, ...] = ()
-    impacts: tuple[Impact | None, ...] = ()
+    between: tuple[Impact | None, ...] = ()
     whole: System | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         names = [f"{phase.end - phase.start:g} s" for phase in self.phases]
-        for k, impact in enumerate(self.impacts):
+        for k, impact in enumerate(self.between):
             names[k] += f", {type(impact).__name__.lower()}" if impact else ""
         return f"<Chain of {self.robot!r}: {', '.join(names)}>"
 
@@ -148,8 +150,35 @@ def chain(*parts: Any) -> Chain:
     }
     return Chain(
         Path(), whole.name, whole.group.name, whole.shape_names, State(**content), {},
-        confirmed=True, phases=tuple(phases), impacts=impacts, whole=whole,
+        impacts=_stop_impacts(whole, phases), confirmed=True,
+        phases=tuple(phases), between=impacts, whole=whole,
     )  # fmt: skip
+
+
+def _stop_impacts(whole: System, phases: Sequence[Phase]) -> ImpactTable:
+    """Return the impacts at joint stops in all phases, at times of the chain."""
+    columns = {entry.name: list[Any]() for entry in fields(ImpactTable)}
+    for phase in phases:
+        for traj, prefix in zip(phase.motions, phase.prefixes, strict=True):
+            table = traj.impacts
+            momenta = table.momentum_before, table.momentum_after
+            if traj.system.group is not whole.group:  # as in the stance of a landing
+                momenta = (np.full((len(table), whole.r), np.nan),) * 2
+            columns["t"] += (table.t + phase.start).tolist()
+            columns["joint"] += [prefix + joint for joint in table.joint]
+            columns["momentum_before"] += list(momenta[0])
+            columns["momentum_after"] += list(momenta[1])
+            for name in ("side", "impulse", "rate_before", "rate_after", "energy_lost"):
+                columns[name] += list(getattr(table, name))
+    order = np.argsort(columns["t"], kind="stable")
+    whole_table = {name: [values[k] for k in order] for name, values in columns.items()}
+    joint, side = tuple(whole_table.pop("joint")), tuple(whole_table.pop("side"))
+    shapes = {"momentum_before": (len(joint), whole.r), "momentum_after": (len(joint), whole.r)}
+    arrays = {
+        name: np.array(values, float).reshape(shapes.get(name, (len(joint),)))
+        for name, values in whole_table.items()
+    }
+    return ImpactTable(joint=joint, side=side, **arrays)
 
 
 def _ordered(
