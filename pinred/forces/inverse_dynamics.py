@@ -8,7 +8,7 @@ import casadi as ca
 
 from ..reduction.tree.all_joints import joint_values, rate_map, shape_gradient
 from ..reduction.tree.momenta import bracket, centre_of_mass, momenta
-from ..reduction.tree.scalars import as_column, as_scalars, dot, solve_ldl
+from ..reduction.tree.scalars import dot, solve_spd
 from ..system.system import System
 from .force import Symbols
 from .force_numbers import RobotSymbols
@@ -38,9 +38,7 @@ def required_torque(system: System, robot: RobotSymbols, s: Symbols, acceleratio
     coadjoint = ca.gradient(ca.dot(mu, bracket(system.group, s.xi, eta)), eta)  # ad*_ξ μ
     from_accelerations = momenta_of(ca.vertcat(ca.SX(r, 1), accelerations))
     I = ca.jacobian(mu, s.xi)
-    # Factor I as L D Lᵀ: the QR factorisation of ca.solve loses digits of small or large robots.
-    rows, forces = ca.vertsplit(I), coadjoint - transport[:r] - from_accelerations[:r]
-    xidot = as_column(solve_ldl([as_scalars(row.T) for row in rows], as_scalars(forces)))
+    xidot = solve_spd(I, coadjoint - transport[:r] - from_accelerations[:r])
     pidot = momenta_of(ca.vertcat(xidot, accelerations))[r:] + transport[r:]
     torque = pidot - shape_gradient(system, 0.5 * ca.dot(v, p), s.x)
     for ball in system.space.balls:

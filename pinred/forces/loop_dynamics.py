@@ -11,6 +11,7 @@ from ..common.errors import InputError
 from ..common.names import listed
 from ..reduction.tree.all_joints import rate_map
 from ..reduction.tree.loop_constraints import jacobian_function
+from ..system.loops.loop_assembly import equation_weights
 from ..system.system import System
 from .force import Symbols
 
@@ -44,6 +45,9 @@ def loop_motion(system: System, s: Symbols, independent: Sequence[int]) -> tuple
     turning = ca.substitute(turning, rate, s.xdot)
     G, drift = ca.SX(system.m, len(independent)), ca.SX(system.m, 1)
     G[list(independent), :] = ca.SX.eye(len(independent))
-    solved = ca.solve(J[:, dependent], ca.horzcat(J[:, list(independent)], turning))
+    # The QR factorisation of ca.solve loses digits where equations have different units.
+    units = equation_weights(system, system.closure.length)[system.closure.rows]
+    scaled = ca.diag(ca.DM(units)) @ ca.horzcat(J, turning)
+    solved = ca.solve(scaled[:, dependent], scaled[:, [*independent, system.m]])
     G[dependent, :], drift[dependent] = -solved[:, :-1], -solved[:, -1]
     return G, drift
