@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,10 +63,13 @@ def test_kinetic_energy_between_report_times_is_the_unit_of_drifts() -> None:
     traj, reduction = pinred.simulate(scene), PointwiseReduction(scene.system)
     report = pinred.compare(traj)
     assert report.passed, str(report)
-    (force,), (name,) = scene.forces, scene.system.shape_names
+    force: Any = scene.forces[0]
+    name = scene.system.shape_names[0]
     x = np.array([0.0, 0.7, 1.5])
     basis = np.column_stack([np.ones(3), np.cos(2.0 * x), np.sin(2.0 * x)])
-    a, b, c = np.linalg.solve(basis, [reduction.at([each]).reduced_metric[0, 0] for each in x])
+    a, b, c = np.linalg.solve(
+        basis, [reduction.at(np.array([each])).reduced_metric[0, 0] for each in x]
+    )
     kp, kd, goal = (each[name] for each in (force.kp, force.kd, force.reference))
 
     def rate(_: float, y: Array) -> Array:
