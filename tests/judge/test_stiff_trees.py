@@ -63,7 +63,8 @@ def test_kinetic_energy_between_report_times_is_the_unit_of_drifts() -> None:
     traj, reduction = pinred.simulate(scene), PointwiseReduction(scene.system)
     report = pinred.compare(traj)
     assert report.passed, str(report)
-    force: Any = scene.forces[0]
+    forces: Any = scene.forces
+    force = forces[0]
     name = scene.system.shape_names[0]
     x = np.array([0.0, 0.7, 1.5])
     basis = np.column_stack([np.ones(3), np.cos(2.0 * x), np.sin(2.0 * x)])
