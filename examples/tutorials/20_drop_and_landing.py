@@ -1,10 +1,10 @@
 # %% [markdown]
 # # 20. solo12 drops and lands
 #
-# A quadruped falls, turns in flight, hits the stops of its legs, and meets the ground with one foot. The ground stops this foot
-# dead: an impulse acts on it alone, and all velocities jump. From then on, the robot is a pendulum
-# about the foot. Of its six symmetries only the rotation about the vertical is left. It needs the
-# extra `robots`.
+# A quadruped falls, turns in flight, hits the stops of its legs, and meets the ground with one
+# foot. The ground stops this foot dead: an impulse acts on it alone, and all velocities jump. From
+# then on, the robot is a pendulum about the foot. Of its six symmetries only the rotation about the
+# vertical is left. It needs the extra `robots`.
 
 # %%
 from typing import Any
@@ -23,8 +23,9 @@ feet = [name[:2] + "_FOOT" for name in solo.shape_names if name.endswith("HAA")]
 # %% [markdown]
 # ## Flight
 # Springs and dampers hold the legs, as simple servos do, and stops limit their motion. At the start
-# only the trunk rotates, so the legs swing into their stops; these impulses are internal. A formula such as height['FL_FOOT'] watches a foot: where the first one comes down to the ground,
-# the flight ends.
+# only the trunk rotates, so the legs swing into their stops; these impulses are internal. A formula
+# such as height['FL_FOOT'] watches a foot: where the first one comes down to the ground, the flight
+# ends.
 
 # %%
 servos: list[Spring | Damper] = [Spring(name, 4.0, angle) for name, angle in stand.items()]

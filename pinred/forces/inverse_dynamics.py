@@ -12,8 +12,12 @@ from ..common.errors import InputError
 from ..common.names import listed
 from ..reduction.tree.all_joints import joint_values, rate_map, shape_gradient
 from ..reduction.tree.loop_constraints import jacobian_function
+<<<<<<<
 from ..reduction.tree.momenta import bracket, centre_of_mass, momenta
-from ..reduction.tree.scalars import as_column, as_scalars, dot, solve_ldl
+from ..reduction.tree.scalars import dot, solve_spd
+=======
+from ..system.loops.loop_assembly import equation_weights
+>>>>>>>
 from ..system.system import System
 from .force import Symbols
 from .force_numbers import RobotSymbols
@@ -43,9 +47,7 @@ def required_torque(system: System, robot: RobotSymbols, s: Symbols, acceleratio
     coadjoint = ca.gradient(ca.dot(mu, bracket(system.group, s.xi, eta)), eta)  # ad*_ξ μ
     from_accelerations = momenta_of(ca.vertcat(ca.SX(r, 1), accelerations))
     I = ca.jacobian(mu, s.xi)
-    # Factor I as L D Lᵀ: the QR factorisation of ca.solve loses digits of small or large robots.
-    rows, forces = ca.vertsplit(I), coadjoint - transport[:r] - from_accelerations[:r]
-    xidot = as_column(solve_ldl([as_scalars(row.T) for row in rows], as_scalars(forces)))
+    xidot = solve_spd(I, coadjoint - transport[:r] - from_accelerations[:r])
     pidot = momenta_of(ca.vertcat(xidot, accelerations))[r:] + transport[r:]
     torque = pidot - shape_gradient(system, 0.5 * ca.dot(v, p), s.x)
     for ball in system.space.balls:
@@ -87,6 +89,9 @@ def loop_motion(system: System, s: Symbols, independent: Sequence[int]) -> tuple
     turning = ca.substitute(turning, rate, s.xdot)
     G, drift = ca.SX(system.m, len(independent)), ca.SX(system.m, 1)
     G[list(independent), :] = ca.SX.eye(len(independent))
-    solved = ca.solve(J[:, dependent], ca.horzcat(J[:, list(independent)], turning))
+    # The QR factorisation of ca.solve loses digits where equations have different units.
+    units = equation_weights(system, system.closure.length)[system.closure.rows]
+    scaled = ca.diag(ca.DM(units)) @ ca.horzcat(J, turning)
+    solved = ca.solve(scaled[:, dependent], scaled[:, [*independent, system.m]])
     G[dependent, :], drift[dependent] = -solved[:, :-1], -solved[:, -1]
     return G, drift

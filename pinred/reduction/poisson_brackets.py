@@ -50,6 +50,7 @@ from .tree.all_joints import joint_values, rate_map
 from .tree.body_frames import bodies_of
 from .tree.casadi_reduction import CasadiReduction, casadi_reduction
 from .tree.momenta import centre_of_mass
+from .tree.scalars import solve_spd
 
 Form: TypeAlias = Literal["connection", "canonical"]
 FORMS = ("connection", "canonical")
@@ -110,13 +111,13 @@ class PhaseSpace:
     @cached_property
     def hamiltonian(self) -> ca.SX:
         """The energy h without springs; add the energy of springs as a function of x."""
-        m, r = self.system.m, self.system.r
+        m = self.system.m
         if self.form == "canonical":
             momentum = ca.vertcat(self.mu, self.p)
-            h = 0.5 * ca.dot(momentum, ca.solve(self._terms.H, momentum))
+            h = 0.5 * ca.dot(momentum, solve_spd(self._terms.H, momentum))
         else:
-            h = 0.5 * ca.dot(self.mu, ca.solve(self._terms.I, self.mu)) if r else ca.SX(0)
-            h += 0.5 * ca.dot(self.p, ca.solve(self._terms.M, self.p)) if m else 0.0
+            h = 0.5 * ca.dot(self.mu, solve_spd(self._terms.I, self.mu))
+            h += 0.5 * ca.dot(self.p, solve_spd(self._terms.M, self.p))
         com = centre_of_mass(
             bodies_of(self.system), joint_values(self.system, ca.vertsplit(self.x) if m else [])
         )

@@ -45,6 +45,7 @@ _TO_PINOCCHIO = [0, 1, 2, 3, 4, 5, 7, 6, 8, 9]
 # Eigenvalues of a pseudo-inertia below this fraction of the largest one count as round-off.
 _LEAST = 1e-12
 # Moments of a body beyond those of its links, such as rotors, count above this fraction of them.
+# Smaller ones are round-off.
 _REST = 1e-9
 # Keys of the parts of a body: name of the link, and whether the part is a payload.
 _WHOLE, _LOAD = ("", False), ("", True)
@@ -181,7 +182,7 @@ def link_inertias(model: pin.Model) -> dict[str, pin.Inertia]:
     Where no link is fixed to another, the inertia belongs to the joint, and no link is stated.
     """
     inertias, rest = dict[str, pin.Inertia](), [moments_of(inertia) for inertia in model.inertias]
-    moving = dict[int, list[str]]()
+    moving, carrying = dict[int, list[str]](), set[int]()
     for frame in model.frames:
         joint = int(frame.parentJoint)
         if frame.type != pin.FrameType.BODY or not joint:
@@ -193,9 +194,10 @@ def link_inertias(model: pin.Model) -> dict[str, pin.Inertia]:
             moved = above.placement.act(above.inertia)
             inertias[str(frame.name)] = frame.placement.actInv(moved)
             rest[joint] -= moments_of(moved)
-    for joint, names in moving.items():
-        total = model.inertias[joint].mass
-        if _REST * total < rest[joint][0] < (1.0 - _REST) * total and len(names) == 1:
+            carrying.add(joint)
+    for joint in carrying:
+        names = moving.get(joint, [])
+        if rest[joint][0] > _REST * model.inertias[joint].mass and len(names) == 1:
             place = model.frames[model.getFrameId(names[0], pin.FrameType.BODY)].placement
             inertias[names[0]] = place.actInv(inertia_of(rest[joint]))
     return inertias
@@ -303,10 +305,10 @@ class _Part:
 
     def rows(self, values: Mapping[str, Array]) -> Array:
         """Compute moments for many values, {kind: (N, size)}; rows have the bits of `moments`."""
-        total = _point_moments(values["mass"][:, 0], values["com"])
+        total = values["mass"] * _moments_of_unit_masses(values["com"])
         total[:, 4:] += values["inertia"]
         if self.names.keys() & _PAYLOAD:
-            total += _point_moments(values["payload.mass"][:, 0], values["payload.at"])
+            total += values["payload.mass"] * _moments_of_unit_masses(values["payload.at"])
         return total if self.moved is None else (self.moved @ total[:, :, None])[:, :, 0]
 
     def find_unphysical(self, values: Mapping[str, Array]) -> dict[int, str]:
@@ -599,9 +601,7 @@ def _point(m: float, c: Array) -> tuple[Array, Array, Array]:
         to c, (10, 3).
     """
     x, y, z = c.tolist()
-    by_mass = np.array(
-        [1.0, x, y, z, y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y]
-    )
+    by_mass = _moments_of_unit_masses(c[None])[0]
     by_centre = m * np.array([
         [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0],
         [0.0, 2.0 * y, 2.0 * z], [-y, -x, 0.0], [-z, 0.0, -x],
@@ -610,12 +610,11 @@ def _point(m: float, c: Array) -> tuple[Array, Array, Array]:
     return m * by_mass, by_mass, by_centre
 
 
-def _point_moments(m: Array, c: Array) -> Array:
-    """Compute the moments, (N, 10), of point masses m (N,) at c (N, 3) about the origin."""
+def _moments_of_unit_masses(c: Array) -> Array:
+    """Compute the moments, (N, 10), of point masses of 1 kg at c (N, 3) about the origin."""
     x, y, z = c.T
-    one = np.ones(len(m))
-    by_mass = [one, x, y, z, y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y]
-    return np.asarray(m[:, None] * np.stack(by_mass, axis=1))
+    second = y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y
+    return np.stack([np.ones_like(x), x, y, z, *second], axis=1)
 
 
 def _pseudo(moments: Array) -> Array:

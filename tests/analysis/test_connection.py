@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from assertions import close
@@ -9,7 +11,6 @@ from hypothesis import given, settings
 from strategies import Case, cases
 
 import pinred
-from pinred.kernels.connection.connection_form import ConnectionForm
 from pinred.kernels.connection.connection_validation import trial_shapes
 
 
@@ -88,7 +89,7 @@ def test_code_that_disagrees_with_reference_raises(what: str, call: object) -> N
         G[2, 2] *= 1.0 + 1e-4 * (1.0 + np.sin(x[0]))
         return G
 
-    form = ConnectionForm(**{**vars(own), "reference": wrong})
+    form = replace(own, reference=wrong)
     with pytest.raises(pinred.KernelMismatch, match=what):
         call(pinred.Connection.of(form), np.array([0.3, 0.4]))  # type: ignore[operator]
 

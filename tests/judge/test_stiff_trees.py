@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from stiff_study import AGREES, _changed, planted_fault, scipy_difference, study
 from stiff_trees import stiff_tree
 
 import pinred
+from pinred.common.arrays import Array
 from pinred.forces import Force
 from pinred.judge.reference_solution import FullState
 from pinred.judge.step_defects import compute_defects
+from pinred.reduction.pointwise_reduction import PointwiseReduction
 
 
 @pytest.mark.slow
@@ -50,6 +53,39 @@ def test_step_with_fast_motion_may_exceed_bound() -> None:
     assert report.passed, str(report)
     assert compute_defects(traj, FullState(traj.scene)).worst > 1.1 * 3.0 * 1.01e-10
     assert scipy_difference(traj) < 1e-10
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_kinetic_energy_between_report_times_is_the_unit_of_drifts() -> None:
+    """A hinge under PD control has 2 MJ for 60 µs, and 3 J at the start; its ODE is known.
+
+    With the metric M(x) = a + b cos 2x + c sin 2x, M ẍ + M' ẋ²/2 is the torque.
+    """
+    scene = stiff_tree(224).scene
+    traj, reduction = pinred.simulate(scene), PointwiseReduction(scene.system)
+    report = pinred.compare(traj)
+    assert report.passed, str(report)
+    forces: Any = scene.forces
+    force = forces[0]
+    name = scene.system.shape_names[0]
+    x = np.array([0.0, 0.7, 1.5])
+    basis = np.column_stack([np.ones(3), np.cos(2.0 * x), np.sin(2.0 * x)])
+    a, b, c = np.linalg.solve(
+        basis, [reduction.at(np.array([each])).reduced_metric[0, 0] for each in x]
+    )
+    kp, kd, goal = (each[name] for each in (force.kp, force.kd, force.reference))
+
+    def rate(_: float, y: Array) -> Array:
+        M, slope = a + b * np.cos(2 * y[0]) + c * np.sin(2 * y[0]), c * np.cos(2 * y[0])
+        slope = 2.0 * (slope - b * np.sin(2 * y[0]))
+        torque = kp * (goal - y[0]) - kd * y[1]
+        return np.array([y[1], (torque - 0.5 * slope * y[1] ** 2) / M])
+
+    times, start = np.linspace(0.0, 6e-5, 13), [scene.start.x[0], scene.start.xdot[0]]
+    exact = solve_ivp(rate, (0.0, 6e-5), start, "DOP853", times, rtol=1e-12, atol=[1e-13, 1e-8])
+    states = pinred.simulate(scene, times=times)
+    assert np.abs(states.x[:, 0] - exact.y[0]).max() < 1e-10
+    assert np.abs(states.xdot[:, 0] - exact.y[1]).max() < 1e-9 * np.abs(exact.y[1]).max()
 
 
 @pytest.mark.parametrize("seed", [4, 47])

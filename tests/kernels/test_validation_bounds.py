@@ -465,11 +465,11 @@ def test_entries_of_a_kind_that_all_cancel_have_the_round_off_of_their_terms() -
     kinds, expected = np.array([True, True, False]), np.array([0.0, 1e-14, 100.0])
     terms = np.array([1e3, 1e3, 2e3])
     accept = partial(validation.require_agreement, "the kernel", "momentum", kinds=kinds)
-    accept(np.add(expected, [4e-11, 0.0, 0.0]), expected, terms)
+    accept(np.add(expected, [8e-8, 0.0, 0.0]), expected, terms)
     with pytest.raises(pinred.KernelMismatch, match="momentum"):
         accept(np.add(expected, [1e-6, 0.0, 0.0]), expected, terms)
     # An entry of this kind that does not cancel is a scale of its own.
-    scaled_by = np.add(expected, [0.0, 1e-4, 0.0])
+    scaled_by = np.add(expected, [0.0, 2e-6, 0.0])
     with pytest.raises(pinred.KernelMismatch, match="momentum"):
         accept(np.add(scaled_by, [1.5e-10, 0.0, 0.0]), scaled_by, terms)
 

@@ -13,6 +13,7 @@ import pinred
 from pinred import SceneWarning
 from pinred.cli.main import main
 from pinred.forces import PD, Spring, Torque
+from pinred.simulation import limit_excess
 
 URDF = """<robot name="arm"><link name="bus"><inertial><mass value="10"/>
 <inertia ixx="2" iyy="2" izz="2" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -182,3 +183,50 @@ def test_scene_of_a_flow_has_the_default_times() -> None:
     assert len(pinred.simulate(flow.scene).t) == 201
     assert flow().x.shape == (3,)
     assert flow.t.tolist() == [0.5]
+
+
+@pytest.mark.parametrize(
+    ("upper", "excess", "counts"),
+    [("1.0", 2e-10, False), ("1.0", 5e-9, True), ("0", 2e-13, False), ("0", 5e-12, True)],
+)
+def test_round_off_is_no_excess(upper: str, excess: float, counts: bool) -> None:
+    """1e-9 of the limit, or of a milliradian where the limit is smaller, is round-off."""
+    arm = pinred.load(text=URDF.replace('upper="1.0"', f'upper="{upper}"'))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SceneWarning)
+        traj = pinred.simulate(
+            arm,
+            prescribed={"hinge": f"{upper} + {excess}*sin(t)"},
+            times=[0.0, np.pi / 2],
+            **AT_REST,
+        )
+    position = use(traj, "position")
+    assert position.greatest == pytest.approx(float(upper) + excess, rel=1e-12)
+    assert position.excess == (pytest.approx(excess, rel=1e-3) if counts else 0.0)
+
+
+def test_numbers_of_compared_times_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """20,000 times in the table, 500 for efforts, and 6 after a simulation; steps are divided."""
+    counts: dict[str, list[int]] = {"efforts": [], "uses": []}
+    compute_efforts, compute_uses = limit_excess._efforts, limit_excess._uses
+
+    def efforts(plan: Any, motion: Any, t: Any) -> Any:
+        counts["efforts"].append(len(t))
+        return compute_efforts(plan, motion, t)
+
+    def uses(system: Any, states: Any, *rest: Any) -> Any:
+        counts["uses"].append(len(states.t))
+        return compute_uses(system, states, *rest)
+
+    monkeypatch.setattr(limit_excess, "_efforts", efforts)
+    monkeypatch.setattr(limit_excess, "_uses", uses)
+    arm, forces = pinred.load(text=URDF), [Torque({"hinge": 0.01})]
+    for count, table in ((25_000, 20_000), (2, None)):
+        times = np.linspace(0.0, 1.0, count)
+        traj = pinred.simulate(arm, forces=[*forces, *forces], times=times, **AT_REST)
+        forces = [Torque({"hinge": 0.02})]  # efforts of the same forces are computed once
+        assert len(traj.limits) == 3
+        steps = len(traj.motion.knots) - 1
+        assert counts["uses"].pop() == (table or 4 * steps + 1)
+        assert counts["efforts"] == ([6, 500] if table else [2, min(500, 4 * steps + 1)])
+        counts["efforts"].clear()

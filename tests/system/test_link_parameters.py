@@ -14,6 +14,7 @@ import pytest
 import pinred
 from pinred import InputError
 from pinred.cli.main import main
+from pinred.system.body_parameters import body_parameter, link_inertias
 
 ARM = """<robot name="arm">
 <link name="bus"><inertial><origin xyz="0.1 0 0.05"/><mass value="100"/>
@@ -144,10 +145,12 @@ def test_links_of_models_and_mjcf_have_own_inertias(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.trace(crba[:3, :3]), np.trace(M[:3, :3]), rtol=1e-12)
 
 
-def test_rotors_of_the_base_stay_with_a_link_that_changes(tmp_path: Path) -> None:
-    """The armature of a base belongs to no link."""
+@pytest.mark.parametrize("armature", [0.3, 8e-9])
+def test_rotors_of_the_base_stay_with_a_link_that_changes(armature: float, tmp_path: Path) -> None:
+    """The armature of a base belongs to no link, even if it is small."""
     text = (
-        '<mujoco><worldbody><body name="bus"><joint name="turn" type="ball" armature="0.3"/>'
+        '<mujoco><worldbody><body name="bus">'
+        f'<joint name="turn" type="ball" armature="{armature}"/>'
         '<inertial pos="0 0 0" mass="10" diaginertia="1 1 1"/>'
         '<body name="arm" pos="0.5 0 0"><joint name="hinge" axis="0 0 1"/>'
         '<inertial pos="0.2 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body></body>'
@@ -156,7 +159,48 @@ def test_rotors_of_the_base_stay_with_a_link_that_changes(tmp_path: Path) -> Non
     path = tmp_path / "robot.xml"
     path.write_text(text, encoding="utf-8")
     system = pinred.load(path, parameters={"bus.inertia": [2.0, 0.0, 0.0, 2.0, 0.0, 2.0]})
-    np.testing.assert_allclose(np.diag(system.model.inertias[1].inertia), 2.3, rtol=1e-12)
+    moments = np.diag(system.model.inertias[1].inertia)
+    np.testing.assert_allclose(moments, 2.0 + armature, rtol=1e-14)
+
+
+def test_round_off_is_no_rotor() -> None:
+    """A link that is alone on its joint is the whole body, so files need no further word."""
+    system = pinred.load("falling_cat")
+    for link in ("front", "back"):
+        parameter = body_parameter(system, f"{link}.com")
+        assert parameter is not None
+        assert parameter.link == ""
+
+
+@pytest.mark.parametrize(
+    ("own", "fixed", "stated"),
+    [
+        (2.0, (25.0,), True),
+        (2.0, (1e-12,), True),  # a light part
+        (8e-9, (1.0,), True),  # a light link
+        (0.0, (0.1, 0.2, 0.3), False),  # whose sum has round-off
+    ],
+)
+def test_mass_of_a_link_is_what_its_parts_leave(
+    own: float, fixed: tuple[float, ...], stated: bool
+) -> None:
+    """Pinocchio stores the mass of a body, and those of the links that are fixed to another."""
+
+    def link(name: str, mass: float) -> str:
+        moments = f'ixx="{mass}" iyy="{mass}" izz="{mass}" ixy="0" ixz="0" iyz="0"'
+        inertial = f'<inertial><mass value="{mass!r}"/><inertia {moments}/></inertial>'
+        return f'<link name="{name}">{inertial if mass else ""}</link>'
+
+    text = f'<robot name="arm">{link("bus", 10.0)}{link("hand", own)}'
+    text += '<joint name="j" type="continuous"><parent link="bus"/><child link="hand"/></joint>'
+    for k, mass in enumerate(fixed):
+        text += link(f"part{k}", mass) + f'<joint name="fix{k}" type="fixed"><parent link="hand"/>'
+        text += f'<child link="part{k}"/><origin xyz="0.{k} 0.1 0"/></joint>'
+    model = pin.buildModelFromXML(text + "</robot>", pin.JointModelFreeFlyer())
+    assert ("hand" in link_inertias(model)) is stated
+    if stated:
+        system = pinred.load(model, parameters={"hand.link.mass": 3.0})
+        assert system.mass == pytest.approx(13.0 + sum(fixed), rel=1e-14)
 
 
 @pytest.mark.parametrize(

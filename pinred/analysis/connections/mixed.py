@@ -32,13 +32,16 @@ from ...kernels.connection.connection_form import (
     coordinate_rates,
     form_of,
     health,
+    solve_locked,
 )
 from ...kernels.connection.connection_validation import TrialShape, trial_shapes
 from ...kernels.evaluate import evaluate
 from ...kernels.machine.native import compile_object
+from ...kernels.reference_state import length_of, steps_of
 from ...kernels.validation import TOLERANCE, require_agreement
 from ...reduction.inertia_split import mass_matrix
 from ...reduction.tree.momenta import bracket, momenta
+from ...reduction.tree.scalars import solve_spd
 from ...system.system import System, checked_system
 from .connection import Connection
 from .wheels import Rolling, Slip, Wheel, slip_matrix, slip_rows, slips_of
@@ -57,14 +60,17 @@ class MixedConnection:
         system: The system.
         connection: The connection A of motions with p = 0, without metric.
         slips: The constraints of the wheels.
-        free: The constant C in S = (1 − W_bᵀ (W_b W_bᵀ)⁻¹ W_b) C, (r, r − k).  It has no rows if S
-            is the cross product of the two rows of W_b in SE(2).
+        free: The constant C in S = U (1 − W⁺ W) C with W = W_b U, (r, r − k), where U contains
+            `units`.  It has no rows if S is the cross product of the two rows of W_b in SE(2).
+        units: Size of each entry of the body twist, (r,): a power of 2 near the robot's length [m]
+            for translations, or one.
     """
 
     system: System
     connection: Connection
     slips: tuple[Slip, ...] = field(repr=False)
     free: Array = field(repr=False)
+    units: Array = field(repr=False)
 
     @property
     def size(self) -> int:
@@ -101,7 +107,7 @@ class MixedConnection:
             S(x), (r, r − k).
         """
         W = slip_matrix(self.system, self.slips, shape_of(self.system, x))
-        return read_only(_kernel(W[:, : self.system.r], self.free))
+        return read_only(_kernel(W[:, : self.system.r], self.free, self.units))
 
     def momentum(self, x: ArrayLike, xdot: ArrayLike, xi: ArrayLike) -> Array:
         """Compute the generalised momentum p = Sᵀ μ.
@@ -229,10 +235,10 @@ class MixedConnection:
         form = self.connection.form
         P = ca.reshape(form.locked(x), r, r)
         of_shape = form.values(x, ca.vertcat(ca.SX.zeros(r, 1), xdot))
-        xi = ca.solve(P, ca.vertcat(ca.SX.zeros(k, 1), p) - of_shape)
+        xi = solve_locked(form, P, ca.vertcat(ca.SX.zeros(k, 1), p) - of_shape)
         A = -ca.jacobian(xi, xdot)
         mu = momenta(system, x, ca.vertcat(xi, xdot))[:r]
-        S = kernel_graph(self.system, self.slips, self.free, x)
+        S = kernel_graph(self.system, self.slips, self.free, self.units, x)
         by_time = coordinate_rates(system.space, x, xdot)
         Sdot = ca.reshape(ca.jtimes(ca.vec(S), x, by_time), r, self.size)
         return x, xdot, p, xi, S.T @ self._coadjoint(xi, mu) + Sdot.T @ mu, A
@@ -267,7 +273,7 @@ class MixedConnection:
             force[ball.v] += ca.cross(pi[ball.v], xdot[ball.v])
         constraint = without_xddot[:r] - self._coadjoint(xi, mu)
         force = tau + force - without_xddot[r:] + A.T @ constraint
-        xddot = ca.solve(by_xddot[r:, :] - A.T @ by_xddot[:r, :], force)
+        xddot = solve_spd(by_xddot[r:, :] - A.T @ by_xddot[:r, :], force)
         energy = 0.5 * (ca.dot(xi, mu) + ca.dot(xdot, pi))
         outputs = ca.densify(ca.vertcat(self._health(x), xi, pdot, xddot, energy))
         y = ca.vertcat(x, xdot, p)
@@ -300,28 +306,31 @@ def mixed_connection(system: System, wheels: Sequence[Wheel | Rolling]) -> Mixed
             f"{system.group.name} has {r} dimensions: a mixed connection takes 1 to {r - 1} "
             f"wheels, got {k}; with {r}, see Connection.kinematic"
         )
-    rng = np.random.default_rng(0)
-    free = np.zeros((0, r - k))
+    length = float(2.0 ** np.round(np.log2(length_of(system))))
+    steps, rng = steps_of(system, length), np.random.default_rng(0)
+    units, free = steps[:r], np.zeros((0, r - k))
     if not (r == 3 and k == 2):
-        W = slip_matrix(system, slips, system.space.random(rng, 1.0))[:, :r]
-        free = np.linalg.svd(W)[2][k:].T
+        x0 = system.space.integrate(
+            system.space.neutral, steps[r:] * rng.uniform(-1.0, 1.0, system.m)
+        )
+        free = np.linalg.svd(slip_matrix(system, slips, x0)[:, :r] * units)[2][k:].T
 
     def values(x: ca.SX, v: ca.SX) -> ca.SX:
-        S = kernel_graph(system, slips, free, x)
+        S = kernel_graph(system, slips, free, units, x)
         momentum = S.T @ momenta(system, x, v)[:r]
         rows: ca.SX = ca.vertcat(slip_rows(system, slips, x, v), momentum)
         return rows
 
     def reference(x: Array) -> Array:
         W = slip_matrix(system, slips, x)
-        S = _kernel(W[:, :r], free)
+        S = _kernel(W[:, :r], free, units)
         return np.vstack([W, S.T @ mass_matrix(system, x)[:r]])
 
     form = form_of(
         system.group, system.shape_names, system.units, f"wheels and momenta of '{system.name}'",
         values, reference, symmetric=False, space=system.space,
     )  # fmt: skip
-    return MixedConnection(system, Connection.of(form), slips, free)
+    return MixedConnection(system, Connection.of(form), slips, free, units)
 
 
 def shape_of(system: System, x: ArrayLike, what: str = "x") -> Array:
@@ -329,13 +338,16 @@ def shape_of(system: System, x: ArrayLike, what: str = "x") -> Array:
     return system.space.normalized(vector(x, system.nx, what, system.x_names), what)
 
 
-def kernel_graph(system: System, slips: Sequence[Slip], free: Array, x: ca.SX) -> ca.SX:
+def kernel_graph(
+    system: System, slips: Sequence[Slip], free: Array, units: Array, x: ca.SX
+) -> ca.SX:
     """Return S(x) as a CasADi expression, (r, r − k).
 
     Args:
         system: The system.
         slips: The constraints.
         free: See `MixedConnection`.
+        units: See `MixedConnection`.
         x: Shape symbols, (nx,).
     Returns:
         The expression.
@@ -344,12 +356,14 @@ def kernel_graph(system: System, slips: Sequence[Slip], free: Array, x: ca.SX) -
     W = ca.densify(ca.jacobian(slip_rows(system, slips, x, v), v)[:, : system.r])
     if not len(free):
         return ca.cross(W[0, :].T, W[1, :].T)
-    constrained = W.T @ ca.solve(W @ W.T, W @ ca.DM(free))
-    return ca.DM(free) - constrained
+    Q, _ = ca.qr(ca.diag(ca.DM(units)) @ W.T)
+    S = ca.DM(free) - Q @ (Q.T @ ca.DM(free))
+    return ca.densify(ca.diag(ca.DM(units)) @ S)
 
 
-def _kernel(W: Array, free: Array) -> Array:
-    """Return S, (r, r − k), a basis of the kernel of W_b (k, r); `free`: see `MixedConnection`."""
+def _kernel(W: Array, free: Array, units: Array) -> Array:
+    """Return S, (r, r − k), a basis of the kernel of W_b (k, r); see `MixedConnection`."""
     if not len(free):
         return np.asarray(np.cross(W[0], W[1])[:, None])
-    return np.asarray(free - W.T @ np.linalg.solve(W @ W.T, W @ free))
+    Q = np.linalg.qr(units[:, None] * W.T)[0]
+    return np.asarray(units[:, None] * (free - Q @ (Q.T @ free)))

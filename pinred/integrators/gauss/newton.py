@@ -17,7 +17,7 @@ import numpy as np
 from ...common.arrays import Array, read_only
 from ..stepping.compiling import compiled
 from ..stepping.kernel_call import SEEDS, call
-from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
+from ..stepping.linear_systems import factor, factor_complex, finite_jacobian, solve, solve_complex
 from ..stepping.run_state import Run
 from ..stepping.state_rows import Y, first_not_finite
 from .stage_products import multiply
@@ -100,7 +100,7 @@ def prepare(run: Run, params: Array, work: Array, which: int, h: float) -> bool:
     at = p * _ENTRY + 2 * wide
     seeds, slopes = behind[at : at + SEEDS * wide], behind[at + SEEDS * wide :][: SEEDS * wide]
     pivots, matrix = _systems(behind, n, p, which)
-    jacobian(run.tangent, work[Y], params, seeds, slopes, matrix, 0, n)
+    finite_jacobian(run, work[Y], params, seeds, slopes, matrix, 0, n)
     run.evaluations += wide // SEEDS
     for k in range(p):
         a, b = behind[k * _ENTRY], behind[k * _ENTRY + 1]

@@ -17,7 +17,7 @@ from ...common.arrays import Array
 from ..stepping.codes import DENSE, DONE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import SEEDS, call, call_tangent
-from ..stepping.linear_systems import factor, jacobian, solve
+from ..stepping.linear_systems import factor, finite_jacobian, solve
 from ..stepping.run_state import Run, copy_an_end, quaternions_of
 from ..stepping.state_rows import NEW, Y, unit, unit_alone
 from . import radau_coefficients as tableau
@@ -107,9 +107,18 @@ def _fill_corrections(run: Run, params: Array, work: Array, h: float) -> None:
     for i in range(n):
         directions[i * SEEDS] = work[END_RATE, i]
     call_tangent(run.tangent, work[NEW], params, directions, second_derivatives)
+    is_finite = True
     for i in range(n):
         work[CORRECTION + 2, i] = h * h * second_derivatives[i * SEEDS]
-    jacobian(run.tangent, work[Y], params, seeds, slopes, work, MATRIX, n)
+        is_finite = is_finite and abs(work[CORRECTION + 2, i]) < np.inf
+    if not is_finite:
+        finite_jacobian(run, work[NEW], params, seeds, slopes, work, MATRIX, n)
+        for i in range(n):
+            second_derivative = 0.0
+            for j in range(n):
+                second_derivative += work[MATRIX + i, j] * work[END_RATE, j]
+            work[CORRECTION + 2, i] = h * h * second_derivative
+    finite_jacobian(run, work[Y], params, seeds, slopes, work, MATRIX, n)
     run.evaluations += 1 + (n + SEEDS - 1) // SEEDS
     for i in range(n):
         second_derivative = 0.0

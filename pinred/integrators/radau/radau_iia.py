@@ -16,7 +16,7 @@ from ...common.arrays import Array
 from ..stepping.codes import DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import SEEDS, call
-from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
+from ..stepping.linear_systems import factor, factor_complex, finite_jacobian, solve, solve_complex
 from ..stepping.run_state import Run, first_step_by_rate, quaternions_of, reject_step
 from ..stepping.state_rows import NEW, Y, entry_size, first_not_finite, unit
 from ..stepping.step_loop import Hooks, Stepper, loops
@@ -124,7 +124,7 @@ def _prepare(run: Run, params: Array, work: Array, h: float) -> bool:
     real, imag, first = MATRIX + 2 * n, MATRIX + 3 * n, MATRIX + n
     if not run.fresh:
         seeds, slopes = work[ALONG:SLOPES], work[SLOPES:MATRIX]
-        jacobian(run.tangent, work[Y], params, seeds, slopes, work, MATRIX, n)
+        finite_jacobian(run, work[Y], params, seeds, slopes, work, MATRIX, n)
         run.evaluations += (n + SEEDS - 1) // SEEDS
         run.fresh = 1
     for i in range(n):

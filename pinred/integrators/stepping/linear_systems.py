@@ -10,7 +10,10 @@ import numpy as np
 
 from ...common.arrays import Array
 from .compiling import compiled
-from .kernel_call import SEEDS, call_tangent
+from .kernel_call import SEEDS, call, call_tangent
+from .run_state import Run
+
+_STEP = 1e-5  # step of central differences, relative to the size of an entry
 
 
 @compiled
@@ -45,6 +48,54 @@ def jacobian(
         for i in range(n):
             for j in range(SEEDS):
                 matrix[first + i, start + j] = derivatives[i * SEEDS + j]
+
+
+@compiled
+def finite_jacobian(
+    run: Run,
+    y: Array,
+    params: Array,
+    seeds: Array,
+    slopes: Array,
+    matrix: Array,
+    first: int,
+    n: int,
+) -> None:
+    """Compute a Jacobian as `jacobian` does, with differences where derivatives are not finite.
+
+    Derivatives may overflow where values do not: 1/cosh(1e3) is zero, its derivative is NaN.
+
+    Args:
+        run: Registers of the run.
+        y: State, (n,).
+        params: Parameters, (p,).
+        seeds: Contiguous workspace for n SEEDS numbers.
+        slopes: Contiguous workspace for n SEEDS numbers.
+        matrix: Array of the rows; see `jacobian`.
+        first: First row to fill.
+        n: Number of entries of the state.
+    """
+    jacobian(run.tangent, y, params, seeds, slopes, matrix, first, n)
+    is_finite = True
+    for i in range(n):
+        for j in range(n):
+            is_finite = is_finite and abs(matrix[first + i, j]) < np.inf
+    if is_finite:
+        return
+    moved, rates = seeds.reshape(-1)[:n], slopes.reshape(-1)
+    before, after = rates[:n], rates[n : 2 * n]
+    for j in range(n):
+        for i in range(n):
+            moved[i] = y[i]
+        step = _STEP * (abs(y[j]) + run.atol / run.rtol)
+        moved[j] = y[j] - step
+        call(run.address, moved, params, before)
+        moved[j] = y[j] + step
+        call(run.address, moved, params, after)
+        for i in range(n):
+            if not abs(matrix[first + i, j]) < np.inf:
+                matrix[first + i, j] = (after[i] - before[i]) / (2.0 * step)
+    run.evaluations += 2 * n
 
 
 @compiled

@@ -14,12 +14,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...lie.group import Group
-from ...reduction.tree.scalars import factor_ldl, quaternion_rate, solve_factored
+from ...reduction.tree.scalars import as_scalars, factor_ldl, quaternion_rate, solve_spd
 from ...system.elementary_joints import HINGE, SLIDE
 from ...system.shape_space import ShapeSpace, shape_space
 
@@ -75,9 +78,32 @@ class ConnectionForm:
         return self.space.units
 
     @property
+    def is_linear(self) -> NDArray[np.bool_]:
+        """Whether each velocity is a translation, (n,)."""
+        base = np.arange(self.r) < self.group.linear
+        return np.append(base, np.array([unit == "m" for unit in self.units], dtype=bool))
+
+    @cached_property
+    def length(self) -> float:
+        """Length by which rotations and translations have similar weight in F, a power of 2 [m]."""
+        linear, matrix = self.is_linear, self.reference(self.space.neutral)
+        if self.symmetric:
+            diagonal = np.diag(matrix)
+            forward, turning = (float(np.sqrt(diagonal[k].sum())) for k in (linear, ~linear))
+        else:
+            sizes = (
+                np.linalg.norm(matrix[:, linear], axis=1),
+                np.linalg.norm(matrix[:, ~linear], axis=1),
+            )
+            forward, turning = (float(size[np.multiply(*sizes) > 0.0].sum()) for size in sizes)
+        if forward == 0.0 or turning == 0.0:
+            return 1.0
+        return float(2.0 ** np.round(np.log2(turning / forward)))
+
+    @property
     def key(self) -> bytes:
         """Key of the form's machine code in the cache: the serialised expressions."""
-        axes = f"{self.group.name} {self.group.axes} {self.symmetric}"
+        axes = f"{self.group.name} {self.group.axes} {self.symmetric or self.length}"
         if self.space.balls:
             axes += f" balls {[(ball.x.start, ball.v.start) for ball in self.space.balls]}"
         return f"{axes} {self.values.serialize()} {self.locked.serialize()}".encode()
@@ -137,7 +163,7 @@ def velocity_graph(form: ConnectionForm) -> ca.Function:
     x, xdot = ca.SX.sym("x", form.nx), ca.SX.sym("xdot", m)
     F = form.values(x, ca.vertcat(ca.SX.zeros(r, 1), xdot))
     P = _locked(form, x)
-    xi = -_solved(form, P, F[:r])
+    xi = -solve_locked(form, P, F[:r])
     outputs = [xi, health(form, P)]
     if form.symmetric:
         outputs.append(ca.dot(xdot, F[r:]) + ca.dot(F[:r], xi))
@@ -149,7 +175,7 @@ def momentum_velocity_graph(form: ConnectionForm) -> ca.Function:
     r, m = form.r, form.m
     x, xdot, mu = ca.SX.sym("x", form.nx), ca.SX.sym("xdot", m), ca.SX.sym("mu", r)
     F = form.values(x, ca.vertcat(ca.SX.zeros(r, 1), xdot))
-    xi = _solved(form, _locked(form, x), mu - F[:r])
+    xi = solve_locked(form, _locked(form, x), mu - F[:r])
     return _function("velocity", ca.vertcat(x, xdot, mu), [xi])
 
 
@@ -172,7 +198,7 @@ def column_graph(form: ConnectionForm) -> ca.Function:
     x, u = ca.SX.sym("x", form.nx), ca.SX.sym("u", m)
     P = _locked(form, x)
     F = form.values(x, ca.vertcat(ca.SX.zeros(r, 1), u))
-    Au = _solved(form, P, F[:r])
+    Au = solve_locked(form, P, F[:r])
     outputs = [F, Au, ca.vec(P), health(form, P)]
     if form.symmetric and m:
         outputs.append(form.values(x, ca.vertcat(-Au, u))[r:])
@@ -187,10 +213,10 @@ def column_derivative_graph(form: ConnectionForm) -> ca.Function:
     r, m = form.r, form.m
     x, u, xi = ca.SX.sym("x", form.nx), ca.SX.sym("u", m), ca.SX.sym("xi", r)
     P = _locked(form, x)
-    Au = _solved(form, P, form.values(x, ca.vertcat(ca.SX.zeros(r, 1), u))[:r])
+    Au = solve_locked(form, P, form.values(x, ca.vertcat(ca.SX.zeros(r, 1), u))[:r])
     by_x = ca.jacobian(form.values(x, ca.vertcat(xi, u))[:r], x)
     by_x = ca.densify(along_frame(form, by_x, x))
-    derivative = _solved(form, P, ca.substitute(by_x, xi, -Au))
+    derivative = solve_locked(form, P, ca.substitute(by_x, xi, -Au))
     outputs = [Au, health(form, P), ca.vec(derivative)]
     return _directional_function("column_derivatives", x, u, outputs)
 
@@ -256,42 +282,49 @@ def _locked(form: ConnectionForm, x: ca.SX) -> ca.SX:
     return ca.reshape(form.locked(x), form.r, form.r)
 
 
-def _solved(form: ConnectionForm, P: ca.SX, right: ca.SX) -> ca.SX:
-    """Return P⁻¹ right, (r, k)."""
-    r, k = form.r, right.shape[1]
-    if not k:
-        return ca.SX(r, 0)
-    if not form.symmetric:
-        # Use Cramer's rule for small matrices, because it needs no pivoting.
-        return ca.densify(ca.adj(P) @ right / ca.det(P)) if r <= 3 else ca.solve(P, right)
-    L, _, inverse = factor_ldl(_rows(P))
-    columns = [solve_factored(L, inverse, column) for column in _rows(right.T)]
-    solved: ca.SX = ca.vertcat(*(entry for column in columns for entry in column))
-    return solved.reshape((r, k))
+def solve_locked(form: ConnectionForm, P: ca.SX, right: ca.SX) -> ca.SX:
+    """Return P_b⁻¹ right as a CasADi expression, with the same accuracy in all units.
+
+    Args:
+        form: The form.
+        P: P_b, (r, r).
+        right: Right sides, (r, k).
+    Returns:
+        (r, k).
+    """
+    if form.symmetric or not right.numel():
+        return solve_spd(P, right)
+    if form.r <= 3:  # Cramer's rule needs no pivoting
+        return ca.densify(ca.adj(P) @ right / ca.det(P))
+    scaled, sizes, units = _without_units(form, P)
+    return ca.densify(ca.diag(units) @ ca.solve(scaled, ca.diag(1.0 / sizes) @ right))
 
 
-def _rows(P: ca.SX) -> list[list[ca.SX | float]]:
-    """Return the entries of a matrix, constants as floats, so that products with 0 vanish."""
-    rows = [[P[i, j] for j in range(P.shape[1])] for i in range(P.shape[0])]
-    return [[float(entry) if entry.is_constant() else entry for entry in row] for row in rows]
+def _without_units(form: ConnectionForm, P: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return P_b with rows of norm one for twists in the robot's units, the norms, and the units.
+
+    The rows of a form that is not symmetric may have different units: slips and momenta.
+    """
+    units = ca.SX([form.length] * form.group.linear + [1.0] * (form.r - form.group.linear))
+    scaled = P @ ca.diag(units)
+    sizes = ca.vertcat(*(ca.norm_2(row) for row in ca.vertsplit(scaled)))
+    return ca.densify(ca.diag(1.0 / sizes) @ scaled), sizes, units
 
 
 def health(form: ConnectionForm, P: ca.SX) -> ca.SX:
     """Return a scaled distance of P from singularity: 0 if P is singular, at most 1 in magnitude.
 
     If the form is symmetric, the result is the smallest pivot of P, relative to the diagonal
-    entry.  Otherwise it is det P divided by the product of the row norms, which may be negative.
+    entry.  Otherwise it is the determinant of P with rows of norm one, for twists in the robot's
+    units, which may be negative.
     """
-    if form.symmetric:
-        _, D, _ = factor_ldl(_rows(P))
-        least = ca.SX(1)
-        for k, pivot in enumerate(D):
-            least = ca.fmin(least, pivot / P[k, k])
-        return least
-    size = ca.SX(1)
-    for k in range(form.r):
-        size = size * ca.norm_2(P[k, :])
-    return ca.det(P) / size
+    if not form.symmetric:
+        return ca.det(_without_units(form, P)[0])
+    _, D, _ = factor_ldl([as_scalars(row.T) for row in ca.vertsplit(P)])
+    least = ca.SX(1)
+    for k, pivot in enumerate(D):
+        least = ca.fmin(least, pivot / P[k, k])
+    return least
 
 
 def _directional_function(name: str, x: ca.SX, u: ca.SX, outputs: list[ca.SX]) -> ca.Function:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.differences import central_differences
@@ -182,8 +181,7 @@ class TrialShape:
 def trial_shapes(form: ConnectionForm) -> Iterator[tuple[TrialShape, np.random.Generator]]:
     """Yield random shapes at which P_b is far from singular, with the generator that drew them."""
     rng, count, r = np.random.default_rng(0), 0, form.r
-    length = _length_of(form)
-    units = np.where(_is_linear(form), length, 1.0)
+    units = np.where(form.is_linear, form.length, 1.0)
     for _ in range(_MOST_DRAWS):
         displacement = units[r:] * rng.uniform(-2.0, 2.0, form.m)
         x = form.space.integrate(form.space.neutral, displacement)
@@ -199,27 +197,6 @@ def trial_shapes(form: ConnectionForm) -> Iterator[tuple[TrialShape, np.random.G
         count += 1
         if count == _TRIALS:
             return
-
-
-def _is_linear(form: ConnectionForm) -> NDArray[np.bool_]:
-    """Return whether each velocity is a translation, (n,)."""
-    base = np.arange(form.r) < form.group.linear
-    return np.append(base, np.array([unit == "m" for unit in form.units], dtype=bool))
-
-
-def _length_of(form: ConnectionForm) -> float:
-    """Return the length by which rotations and translations have equal weight in the form [m]."""
-    linear, matrix = _is_linear(form), form.reference(form.space.neutral)
-    if form.symmetric:
-        diagonal = np.diag(matrix)
-        forward, turning = (float(np.sqrt(diagonal[k].sum())) for k in (linear, ~linear))
-    else:
-        sizes = (
-            np.linalg.norm(matrix[:, linear], axis=1),
-            np.linalg.norm(matrix[:, ~linear], axis=1),
-        )
-        forward, turning = (float(size[np.multiply(*sizes) > 0.0].sum()) for size in sizes)
-    return turning / forward if forward > 0.0 and turning > 0.0 else 1.0
 
 
 def _reference_terms(form: ConnectionForm, at: TrialShape) -> tuple[Array, Array, float, float]:

@@ -9,6 +9,7 @@ import casadi as ca
 from ...system.system import System
 from .all_joints import frame_jacobian
 from .momenta import bracket, momenta
+from .scalars import solve_spd
 
 
 @dataclass(frozen=True)
@@ -36,11 +37,11 @@ class CasadiReduction:
 
 def casadi_reduction(system: System, x: ca.SX | None = None) -> CasadiReduction:
     """Return the expressions of a system at shape symbols x (nx, 1); None: new symbols."""
-    r, m = system.r, system.m
+    r = system.r
     x, v = ca.SX.sym("x", system.nx) if x is None else x, ca.SX.sym("v", system.n)
     H = ca.jacobian(momenta(system, x, v), v)
     I, Hbs, Hss = H[:r, :r], H[:r, r:], H[r:, r:]
-    A = ca.solve(I, Hbs) if m else ca.SX(r, 0)
+    A = solve_spd(I, Hbs)
     return CasadiReduction(x, H, I, A, Hss - Hbs.T @ A, _curvature(system, x, A))
 
 

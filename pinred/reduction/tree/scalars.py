@@ -249,6 +249,24 @@ def solve_ldl(A: list[list[Scalar]], b: list[Scalar]) -> list[Scalar]:
     return solve_factored(L, inverse, b)
 
 
+def solve_spd(A: ca.SX, B: ca.SX) -> ca.SX:
+    """Solve A X = B for a symmetric positive definite A, with the same accuracy in all units.
+
+    The QR factorisation of `ca.solve` loses digits where the entries of A have different units.
+
+    Args:
+        A: The matrix, (n, n).
+        B: Right sides, (n, k).
+    Returns:
+        X, (n, k).
+    """
+    if not B.numel():
+        return ca.SX(*B.shape)
+    L, _, inverse = factor_ldl([as_scalars(row.T) for row in ca.vertsplit(A)])
+    columns = [solve_factored(L, inverse, as_scalars(column)) for column in ca.horzsplit(B)]
+    return as_column(*columns).reshape(B.shape)
+
+
 def solve_lower(L: list[list[Scalar]], b: list[Scalar]) -> list[Scalar]:
     """Return L⁻¹ b for a unit lower triangular L, given its entries below the diagonal."""
     y = list(b)

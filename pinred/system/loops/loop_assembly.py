@@ -69,7 +69,7 @@ def describe_gap(system: LoopedSystem, gaps: Array, length: float) -> str:
 def loop_gaps(system: LoopedSystem, x: Array, length: float) -> Array:
     """Return the gap of each loop, (loops,): norm of its distance over `length` and angle."""
     kinematics, q = loop_kinematics(system), configuration(system, x)
-    values, gaps = np.abs(_weights(system, length) * kinematics.values(q)), []
+    values, gaps = np.abs(equation_weights(system, length) * kinematics.values(q)), []
     for loop, rows, X in zip(system.loops, kinematics.rows, kinematics.placements(q), strict=True):
         if X is None:
             gaps.append(float(values[rows.start]))
@@ -133,11 +133,12 @@ def rate_units(system: LoopedSystem, length: float) -> Array:
 
 def scaled_jacobian(system: LoopedSystem, x: Array, length: float) -> Array:
     """Return the Jacobian at shape x (nx,) of loops of the given length without units, (c, m)."""
-    J = loop_jacobian(system, x) * _weights(system, length)[:, None]
+    J = loop_jacobian(system, x) * equation_weights(system, length)[:, None]
     return np.asarray(J * rate_units(system, length))
 
 
-def _weights(system: LoopedSystem, length: float) -> Array:
+def equation_weights(system: LoopedSystem, length: float) -> Array:
+    """Return the factor on each equation of loops of the given length that removes its unit."""
     return np.where(loop_kinematics(system).is_length, 1.0 / length, 1.0)
 
 
@@ -160,7 +161,7 @@ def _linearised(system: LoopedSystem, x: Array, length: float) -> tuple[Array, A
     """
     kinematics = loop_kinematics(system)
     q = configuration(system, x)
-    weights = _weights(system, length)
+    weights = equation_weights(system, length)
     residual, J = weights * kinematics.values(q), weights[:, None] * loop_jacobian(system, x)
     for loop, rows, X in zip(system.loops, kinematics.rows, kinematics.placements(q), strict=True):
         angle = 0.0 if X is None else loop_angle(loop, X.rotation)
