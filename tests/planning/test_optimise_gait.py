@@ -152,7 +152,11 @@ def test_limits_are_not_exceeded_by_round_off(options: dict[str, Any]) -> None:
 
 
 def test_optimum_within_limits_satisfies_kkt_conditions_of_ellipses() -> None:
-    """An ellipse has extremes mean ± √(cos² + sin²): its KKT conditions have a closed form."""
+    """An ellipse has extremes mean ± √(cos² + sin²): its KKT conditions have a closed form.
+
+    Times of peaks are known to 3e-7 of the period only, because values near a peak differ by the
+    square of the distance.  The normals of the limits have errors of 2π times that.
+    """
     A = rods()
     best = pinred.optimise_gait(A, harmonics=1, limits=1.0, starts=1)
     assert best.merit >= 0.10327495
