@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred
-from pinred.analysis.phases.path_basis import fourier_rows
+from pinred.analysis.phases.path_basis import fourier_rows, path_lift
 from pinred.common.arrays import Array
 from pinred.planning.optimisation import gait_search, nonlinear_program, optimise, transcription
 from pinred.planning.optimisation.gait_search import (
@@ -412,7 +412,7 @@ def test_targets_in_space_take_few_evaluations(
     removed: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Runs continue from better points beyond an equation, and begin with the Hessian if slow."""
-    count, lift = [0], transcription.path_lift
+    count, lift = [0], path_lift
     if removed:
         monkeypatch.setattr(nonlinear_program, removed, lambda *_: None)
 
