@@ -399,7 +399,7 @@ def test_curved_equations_allow_long_steps() -> None:
     problem = Problem(2, evaluate, np.zeros((0, 2)), np.zeros(1), np.zeros(1))
     best = minimum(problem, np.array([np.cos(2.0), np.sin(2.0)]))
     close(best.z, [1.0, 0.0], 1e-5)
-    assert count[0] < 60
+    assert count[0] < 120  # 61; without the products of multipliers and equations 3780
 
 
 def _without(name: str) -> Any:
