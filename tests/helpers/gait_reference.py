@@ -7,7 +7,7 @@ expansion, torques by spectral derivatives of momenta, and all gradients by cent
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -346,7 +346,7 @@ class Reference:
         return np.asarray(run.x)
 
 
-class _Rates(ca.Callback):  # type: ignore[misc]
+class _Rates(ca.Callback):
     """The derivatives, (k, n), of a function of z, (n,); the second input is its value."""
 
     def __init__(self, rates: Callable[[Array], Array], shape: tuple[int, int]) -> None:
@@ -363,11 +363,11 @@ class _Rates(ca.Callback):  # type: ignore[misc]
     def get_sparsity_out(self, _: int) -> ca.Sparsity:
         return ca.Sparsity.dense(*self.shape)
 
-    def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
+    def eval(self, arguments: Sequence[ca.DM]) -> Sequence[ca.DM]:
         return [ca.DM(self.rates(np.array(arguments[0]).ravel()))]
 
 
-class _Values(ca.Callback):  # type: ignore[misc]
+class _Values(ca.Callback):
     """A function of z, (n,), with k values."""
 
     def __init__(self, values: Callable[[Array], Array], rates: _Rates) -> None:
@@ -381,7 +381,7 @@ class _Values(ca.Callback):  # type: ignore[misc]
     def get_sparsity_out(self, _: int) -> ca.Sparsity:
         return ca.Sparsity.dense(self.rates.shape[0], 1)
 
-    def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
+    def eval(self, arguments: Sequence[ca.DM]) -> Sequence[ca.DM]:
         return [ca.DM(self.values(np.array(arguments[0]).ravel()))]
 
     def has_jacobian(self) -> bool:
@@ -411,12 +411,12 @@ def _by_ipopt(
     x, shape = ca.MX.sym("x", len(z)), slopes(z).shape
     f = _Values(values, _Rates(slopes, shape))
     value, rows = f(x), np.vstack([fixed, G])
-    options = {
+    options: Any = {
         "hessian_approximation": "limited-memory", "limited_memory_max_history": 30,
         "mu_strategy": "adaptive", "tol": 1e-8, "constr_viol_tol": 1e-9, "max_iter": 300,
         "bound_relax_factor": 0.0, "print_level": 0, "sb": "yes",
     }  # fmt: skip
-    program = {"x": x, "f": value[0], "g": ca.vertcat(value[1:], ca.DM(rows) @ x)}
+    program: Any = {"x": x, "f": value[0], "g": ca.vertcat(value[1:], ca.DM(rows) @ x)}
     solve = ca.nlpsol("solve", "ipopt", program, {"ipopt": options, "print_time": False})
     equal = np.concatenate([np.zeros(shape[0] - 1), fixed @ z])
     run = solve(x0=z, lbg=np.append(equal, np.full(len(d), -np.inf)), ubg=np.append(equal, d))

@@ -19,9 +19,8 @@ from pinred.common.errors import IntegrationError
 from pinred.kernels.connection.connection_form import ConnectionForm, form_of
 from pinred.lie import GROUPS
 from pinred.planning.optimisation import extremal_loop
-from pinred.planning.optimisation.extremal_problem import ExtremalProblem
-from pinred.planning.optimisation.extremal_start import start_of
-from pinred.planning.optimisation.levenberg_marquardt import levenberg_marquardt
+from pinred.planning.optimisation.extremal_loop import levenberg_marquardt
+from pinred.planning.optimisation.extremal_problem import ExtremalProblem, start_of
 from pinred.planning.optimisation.limits import limits_of
 from pinred.planning.optimisation.objective import AxisAim, TargetAim, axis_aim, target_aim
 from pinred.planning.optimisation.transcription import Task

@@ -11,7 +11,7 @@ from gait_reference import Reference
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred
-from pinred.analysis.phases.path_basis import PathLift
+from pinred.analysis.phases.path_basis import PathLift, path_lift
 from pinred.planning.optimisation import transcription
 
 GAP = 1e-6  # largest relative gap to the best of STARTS loops of the reference
@@ -74,7 +74,7 @@ def test_reference_finds_no_better_gait(
     robot: str, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The merit is at most GAP below the best loop of the reference, and the limits hold."""
-    reference, count, lift = Reference(connection(robot), options), [0], transcription.path_lift
+    reference, count, lift = Reference(connection(robot), options), [0], path_lift
 
     def counted(*arguments: Any) -> PathLift:
         count[0] += 1

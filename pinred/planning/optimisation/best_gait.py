@@ -21,11 +21,10 @@ from ...lie.group import PoseError
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
-from .cost_units import cost_unit, merit_name
 from .limits import NOT_CONSIDERED
 from .objective import ABOUT, TargetAim
 from .optimum_distance import OptimumDistance, distance_of
-from .transcription import Task
+from .transcription import Task, cost_unit, merit_name
 
 SAME = 1e-5  # relative difference of merits below which two optima are considered equal
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,14 +12,17 @@ from ...analysis.gaits.arcs import Arc, PolynomialArc
 from ...analysis.gaits.gait import Gait
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
-from ...common.errors import InputError, NoOptimum
-from .cost_units import merit_name
-from .extremal_problem import SEGMENTS, Displacement, ExtremalProblem
-from .extremal_start import interpolated, start_of
-from .levenberg_marquardt import levenberg_marquardt
+from ...common.errors import InputError, IntegrationError, NoOptimum
+from .extremal_problem import (
+    SEGMENTS,
+    Displacement,
+    ExtremalProblem,
+    interpolated,
+    start_of,
+)
 from .limits import active_limits, margins
 from .objective import TargetAim
-from .transcription import Task
+from .transcription import Task, merit_name
 
 RESIDUAL = 1e-10  # largest residual of an accepted extremal
 _GAIT_ERROR = 1e-12  # error of the interpolation at which sampling ends, relative to the loop
@@ -26,6 +30,8 @@ _MOST_SAMPLES = 64  # largest number of samples of a segment
 _CORNER = 1e-6  # relative jump of the shape rate at the start above which a loop has a corner
 _DEGREE = 16  # degree of the polynomials of a loop with a corner, one for each segment
 _WORSE = 1e-7  # relative loss of merit by which an extremal is another one than the optimum
+_DAMPING = 1e-4  # initial damping, relative to the largest singular value
+_LEAST, _LARGEST = 1e-9, 1e3  # range of the damping
 
 
 @checks_arguments
@@ -234,3 +240,65 @@ def _samples(problem: ExtremalProblem, states: Array, count: int) -> Array:
         shapes.append(states[:, :m])
         states, _ = problem.advance(states, 1.0 / (SEGMENTS * count))
     return np.stack(shapes, axis=1).reshape(-1, m)
+
+
+@dataclass(frozen=True, eq=False)
+class Root:
+    """The end of an iteration.
+
+    Attributes:
+        z: Unknowns, (n,).
+        residual: Norm of the residual.
+        iterations: Number of iterations.
+    """
+
+    z: Array
+    residual: float
+    iterations: int
+
+
+def levenberg_marquardt(
+    residuals: Callable[[Array], Array],
+    jacobian: Callable[[Array], Array],
+    start: Array,
+    *,
+    tolerance: float,
+    most: int = 30,
+) -> Root:
+    """Solve R(z) = 0 near an initial point.
+
+    Steps have least norm, so that directions along which R is constant remain at rest.
+
+    Args:
+        residuals: The function R: (n,) → (k,), which may raise IntegrationError.
+        jacobian: Its derivatives, (n,) → (k, n).
+        start: Initial point, (n,).
+        tolerance: Norm of the residual of a solution, which is refined while steps succeed at once.
+        most: Maximum number of iterations.
+    Returns:
+        The last point; check its residual.
+    """
+    z, damping, value = start, _DAMPING, residuals(start)
+    for done in range(most):
+        size = float(np.linalg.norm(value))
+        U, s, V = np.linalg.svd(jacobian(z), full_matrices=False)
+        along = U.T @ value
+        trial, trial_value = z, value
+        while damping <= _LARGEST:
+            trial = z - V.T @ (s / (s**2 + (damping * s[0]) ** 2) * along)
+            trial_value = _value(residuals, trial)
+            if float(np.linalg.norm(trial_value)) < size or size <= tolerance:
+                break
+            damping *= 10.0
+        if not float(np.linalg.norm(trial_value)) < size:
+            return Root(z, size, done)
+        z, value, damping = trial, trial_value, max(0.1 * damping, _LEAST)
+    return Root(z, float(np.linalg.norm(value)), most)
+
+
+def _value(residuals: Callable[[Array], Array], z: Array) -> Array:
+    """Return the residual, or infinity where it is not defined."""
+    try:
+        return residuals(z)
+    except IntegrationError:
+        return np.array([np.inf])

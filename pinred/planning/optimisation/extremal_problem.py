@@ -1,4 +1,12 @@
-"""The periodic boundary value problem of an extremal of the isoholonomic problem.
+"""Extremals of the isoholonomic problem: Wong's equations and their boundary value problem.
+
+A path of least length for its displacement obeys ∇_ẋ ẋ = M⁻¹⟨μ, B(·, ẋ)⟩ with the curvature B and
+the charge μ, the body momentum that the displacement costs.  Its spatial components J = Ad*_{g⁻¹} μ
+are constant.  With the canonical momentum p = M u + Aᵀμ, u = ẋ, the equations need no curvature:
+
+    ẋ = u = M⁻¹(p − Aᵀμ),   ṗ = ½ uᵀ∂M u + ⟨μ, ∂A u⟩,   ġ = −g A u,   μ = Ad_gᵀ J.
+
+The speed |u|_M is constant.  Batches of motions are integrated together, with common steps.
 
 The loop is divided into segments of equal length (multiple shooting), because over a whole loop
 Wong's equations amplify errors by some 1e4.  The unknowns are shape, canonical momentum and body
@@ -11,17 +19,120 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
+from ...analysis.connections.connection import Connection
+from ...analysis.gaits.gait import Gait
+from ...analysis.phases.path_basis import phase_slopes
+from ...analysis.phases.phase import phase
 from ...common.arrays import Array
+from ...common.errors import IntegrationError, SingularInertiaError
 from ...lie.group import Group
 from .objective import AxisAim, TargetAim
 from .transcription import Task
-from .wong_equations import Motions, WongEquations
 
 SEGMENTS = 16  # number of segments of the loop
 _STEP = 1e-5  # step of the central differences, relative to the scale of the unknowns
+_RELATIVE, _ABSOLUTE = 1e-13, 1e-14  # tolerances of the integrator
+_SAMPLES = 256  # number of samples of the initial loop
+_ROUND_OFF = 1e-15  # harmonics below this part of the largest one are omitted
+
+
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """N states of Wong's equations.
+
+    Attributes:
+        x: Shapes, (N, m).
+        p: Canonical momenta p = M u + Aᵀμ, (N, m).
+        pose: Poses of the base, (N, size).
+        charge: Spatial charges J, (N, r).
+    """
+
+    x: Array
+    p: Array
+    pose: Array
+    charge: Array
+
+
+@dataclass(frozen=True, eq=False)
+class WongEquations:
+    """Wong's equations of a connection with a metric.
+
+    Attributes:
+        connection: The connection.
+    """
+
+    connection: Connection
+
+    def body_charges(self, pose: Array, charge: Array) -> Array:
+        """Return the body charges μ = Ad_gᵀ J, (N, r), for poses (N, size) and J (N, r)."""
+        Ad = self.connection.group.Ad(pose)
+        return np.asarray(np.einsum("nab,na->nb", Ad, charge))
+
+    def rates(self, motions: Motions) -> tuple[Array, Array, Array]:
+        """Compute the rates of states.
+
+        Args:
+            motions: The states.
+        Returns:
+            ẋ = u (N, m), ṗ (N, m) and ġ (N, size).
+        """
+        connection = self.connection
+        r, m = connection.r, connection.m
+        mu = self.body_charges(motions.pose, motions.charge)
+        A, M, _ = connection.locals_at(motions.x)
+        right = motions.p - np.einsum("nra,nr->na", A, mu)
+        u = np.asarray(np.linalg.solve(np.asarray(M), right[..., None])[..., 0])
+        slopes = connection.horizontal_slopes(motions.x, u)[:, :, :m]
+        force = 0.5 * slopes[:, r] - np.einsum("nr,nra->na", mu, slopes[:, :r])
+        twist = -np.einsum("nra,na->nr", A, u)
+        return u, force, connection.group.rate(motions.pose, twist)
+
+    def momenta(self, x: Array, u: Array, pose: Array, charge: Array) -> Array:
+        """Return the canonical momenta p = M u + Aᵀμ, (N, m), of shape rates u (N, m)."""
+        A, M, _ = self.connection.locals_at(x)
+        mu = self.body_charges(pose, charge)
+        return np.asarray(
+            np.einsum("nab,nb->na", np.asarray(M), u) + np.einsum("nra,nr->na", A, mu)
+        )
+
+    def flow(self, start: Motions, duration: float) -> Motions:
+        """Integrate a batch of motions with DOP853.
+
+        Args:
+            start: Initial states.
+            duration: Duration.
+        Returns:
+            The final states.
+        Raises:
+            IntegrationError: The integration failed, or a motion meets a singular shape.
+        """
+        from scipy.integrate import solve_ivp
+
+        m, count = self.connection.m, len(start.x)
+
+        def states(y: Array) -> Motions:
+            rows = y.reshape(count, -1)
+            return Motions(rows[:, :m], rows[:, m : 2 * m], rows[:, 2 * m :], start.charge)
+
+        def rate(_: float, y: Array) -> Array:
+            return np.hstack(self.rates(states(y))).ravel()
+
+        y = np.hstack([start.x, start.p, start.pose]).ravel()
+        try:
+            run = solve_ivp(
+                rate, (0.0, duration), y, method="DOP853", rtol=_RELATIVE, atol=_ABSOLUTE,
+                first_step=min(duration, 0.01),
+            )  # fmt: skip
+        except (SingularInertiaError, FloatingPointError, np.linalg.LinAlgError) as error:
+            raise IntegrationError(f"an extremal meets a singular shape: {error}") from error
+        if not run.success:
+            raise IntegrationError(f"Wong's equations could not be integrated: {run.message}")
+        end = states(run.y[:, -1])
+        return Motions(end.x, end.p, self.connection.group.normalize(end.pose), end.charge)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,3 +316,88 @@ class ExtremalProblem:
         shape = replaced.shape
         before, after = (np.broadcast_to(each, shape) for each in (before, after))
         return self.group.compose(self.group.compose(before, replaced), after)
+
+
+class Start(NamedTuple):
+    """An initial point of the iteration.
+
+    Attributes:
+        z: Unknowns, (n,).
+        scale: Scale of the unknowns, (n,).
+        units: Scale of the residuals, (n,).
+    """
+
+    z: Array
+    scale: Array
+    units: Array
+
+
+def start_of(problem: ExtremalProblem, gait: Gait) -> Start:
+    """Return initial unknowns of an extremal.
+
+    The multipliers balance the gradients of length and displacement in the coefficients.
+
+    Args:
+        problem: The boundary value problem.
+        gait: A Fourier gait near the extremal.
+    Returns:
+        The unknowns with their scales.
+    """
+    connection, group = problem.task.connection, problem.group
+    slopes = phase_slopes(connection, gait)
+    displacement, L = Displacement.of(problem.task.aim, slopes.pose), slopes.length
+    allowed = displacement.allowed
+    by_c = np.tensordot(allowed, slopes.twist, 1).reshape(len(allowed), -1)
+    multipliers = L * np.linalg.lstsq(by_c.T, slopes.length_slope.ravel(), rcond=None)[0]
+    J = group.spatial_momentum(slopes.pose, multipliers @ allowed)
+    even = at_constant_speed(problem, gait)
+    nodes = np.arange(SEGMENTS) / SEGMENTS
+    x, u = even.at(nodes)
+    sampled = phase(connection, even)
+    poses = sampled.path[np.abs(sampled.times - nodes[:, None]).argmin(axis=1)]
+    mu = np.einsum("nab,a->nb", group.Ad(poses), J)
+    base = np.tile(group.identity(), (SEGMENTS, 1))
+    p = problem.equations.momenta(x, u, base, mu)
+    z = np.concatenate([np.hstack([x, p, mu]).ravel(), multipliers])
+    return Start(z, *_scales(problem, even, L, displacement))
+
+
+def at_constant_speed(problem: ExtremalProblem, gait: Gait) -> Gait:
+    """Return the gait with constant speed in the metric and period 1, by interpolation."""
+    t = np.arange(4 * _SAMPLES + 1) * (gait.period / (4 * _SAMPLES))
+    speed = np.sqrt(problem.task.connection.horizontal(*gait.at(t))[1])
+    travelled = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])
+    even = np.arange(_SAMPLES) * (travelled[-1] / _SAMPLES)
+    return interpolated(gait.at(np.interp(even, travelled, t))[0], 1.0)
+
+
+def interpolated(x: Array, period: float) -> Gait:
+    """Return the Fourier gait through samples (N, m) at equidistant times from 0."""
+    count = len(x)
+    modes = np.fft.rfft(x, axis=0)[: (count + 1) // 2] / count
+    sizes = np.abs(modes[1:]).max(axis=1)
+    modes = modes[: 2 + int(np.flatnonzero(sizes > _ROUND_OFF * sizes.max())[-1])]
+    return Gait.fourier(modes[0].real, 2.0 * modes[1:].real, -2.0 * modes[1:].imag, period=period)
+
+
+def _scales(
+    problem: ExtremalProblem, gait: Gait, length: float, moved: Displacement
+) -> tuple[Array, Array]:
+    """Return scales of unknowns and residuals, so that products have the unit of an action."""
+    group, action = problem.group, length**2
+    x, xdot = gait.samples(_SAMPLES)
+    size = 0.5 * np.ptp(x, axis=0)
+    size = np.maximum(size, 1e-3 * size.max())
+    twists = np.abs(problem.task.connection.horizontal(x, xdot)[0]).mean(axis=0)
+    travel = np.maximum(twists, 1e-3 * twists.max())
+    k = group.linear
+    paths = [travel[k:].max(initial=0.0), travel[:k].max(initial=0.0)]
+    errors = np.array([paths[j >= group.turns] for j in range(len(moved.errors))])
+    value = len(moved.gradient)
+    states = np.tile(np.concatenate([size, action / size, action / travel]), SEGMENTS)
+    scale = action if problem.task.most is None else length
+    multipliers = np.full(value, action / abs(moved.value)) if value else np.zeros(0)
+    return (
+        np.concatenate([states, multipliers, action / errors]),
+        np.concatenate([states, errors, np.full(value, scale)]),
+    )

@@ -142,9 +142,9 @@ def minimum(
         gain, left_over = value - problem.at(trial)[0][0], problem.violation(trial)
         feasible, at_edge = violation <= _VIOLATION, np.abs(trial - z).max() > _EDGE * radius
         restored = left_over <= max(_VIOLATION, _LESS * violation)
+        misses += not (feasible or restored)
         if not (restored or _gains(problem, z, trial)):
             radius = _SMALLER * min(radius, size)
-            misses += not feasible
         else:
             z = trial if gain > 0.0 or not feasible else z
             done = once and run.success and left_over <= _VIOLATION

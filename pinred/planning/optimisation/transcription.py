@@ -37,6 +37,7 @@ INSIDE = 1.5e-8  # relative margin to limits and bounds, above the accepted viol
 # proportion to the square of their size, so that smaller powers are not convex in the target.
 CONVEX = 4
 _SHORTEST = 1e-6  # lower bound of a variable period [s]
+_ROOTS = {1: "", 2: "√", 4: "⁴√"}  # of costs, by their degree
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,3 +276,34 @@ def _bounds(task: Task, path: Path) -> tuple[Array, Array]:
         lower.append(np.full(len(path.checks.times.s), -np.inf))
         upper.append(np.full(len(path.checks.times.s), 1.0 - INSIDE))
     return np.concatenate(lower), np.concatenate(upper)
+
+
+def cost_unit(connection: Connection, kind: CostKind) -> str:
+    """Return the unit of a cost, which depends on what the connection's metric measures.
+
+    The metric of momenta gives twice the kinetic energy of a shape rate [J], that of drag the
+    dissipated power [W].
+    """
+    joints = set(connection.form.units)
+    torque = "N m" if joints == {"rad"} else "N" if joints == {"m"} else "N m | N"
+    is_kinetic = connection.form.momentum
+    units = {
+        "length": "m √kg" if is_kinetic else "√(J s)",
+        "torque": f"({torque})² s",
+        "power": "W² s",
+        "acceleration": "W" if is_kinetic else "W/s",
+        "time": "s",
+    }
+    return units[kind]
+
+
+def merit_name(task: Task) -> tuple[str, str]:
+    """Return the name and the unit of the merit of a task (see Task.merit)."""
+    aim = task.aim
+    if not isinstance(aim, AxisAim):
+        return f"−{task.cost}", cost_unit(task.connection, task.cost) if task.cost else "1"
+    if task.cost is None or not task.per_cost:
+        return aim.kind, aim.unit
+    root, unit = _ROOTS[DEGREES[task.cost]], cost_unit(task.connection, task.cost)
+    per = f"{root}({unit})" if root or (" " in unit and not unit.startswith("√")) else unit
+    return f"{aim.kind} / {root}{task.cost}", f"{aim.unit}/{per}"

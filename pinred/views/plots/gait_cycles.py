@@ -21,8 +21,8 @@ from ...common.errors import InputError, SingularInertiaError
 from ...lie.group import Group
 from ...lie.rotations import unwrapped_rotation_vectors
 from ...planning.optimisation.best_gait import BestGait
-from ...planning.optimisation.cost_units import merit_name
 from ...planning.optimisation.objective import AxisAim
+from ...planning.optimisation.transcription import merit_name
 from ...planning.reorientation.turn_plan import TurnPlan
 from .connection_field import (
     component_of,
