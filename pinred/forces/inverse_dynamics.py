@@ -12,12 +12,9 @@ from ..common.errors import InputError
 from ..common.names import listed
 from ..reduction.tree.all_joints import joint_values, rate_map, shape_gradient
 from ..reduction.tree.loop_constraints import jacobian_function
-<<<<<<<
 from ..reduction.tree.momenta import bracket, centre_of_mass, momenta
 from ..reduction.tree.scalars import dot, solve_spd
-=======
 from ..system.loops.loop_assembly import equation_weights
->>>>>>>
 from ..system.system import System
 from .force import Symbols
 from .force_numbers import RobotSymbols
