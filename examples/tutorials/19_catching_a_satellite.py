@@ -6,6 +6,8 @@
 # pulled back to the motions that both can share, p⁺ = JᵀHv⁻, so its sum stays, and energy is lost.
 
 # %%
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 
@@ -15,7 +17,7 @@ from pinred.forces import Damper, SeenState, Spring, Torque
 still = (0.0, 0.0, 0.0)
 model = pinred.Model("chaser").body("bus", mass=60.0, inertia=[6.0, 5.0, 7.0])
 for axis in "xyz":
-    flywheel = {"mass": 2.0, "inertia": [0.04 + 0.04 * (axis == k) for k in "xyz"]}
+    flywheel: dict[str, Any] = {"mass": 2.0, "inertia": [0.04 + 0.04 * (axis == k) for k in "xyz"]}
     model = model.hinge(f"wheel_{axis}", parent="bus", axis=axis, **flywheel)
 model = (
     model.hinge("shoulder", parent="bus", axis="z", at=(0.4, 0, 0), mass=4.0, inertia=0.2)
@@ -45,7 +47,9 @@ def place(motion: pinred.Trajectory, link: str) -> pin.SE3:
 # %%
 tumbling = pinred.simulate(target, xi0=[0.02, -0.01, 0.03, 0.15, 0.30, -0.20], duration=4.0)
 swing = {"shoulder": "0.5*(1-cos(pi*t/4))", "elbow": "-0.3*(1-cos(pi*t/4))"}
-rest = {"x0": [0.0] * 5, "prescribed": swing, "hold": "others", "duration": 4.0}
+rest: dict[str, Any] = {
+    "x0": [0.0] * 5, "prescribed": swing, "hold": "others", "duration": 4.0,
+}  # fmt: skip
 trial = pinred.simulate(chaser, **rest, momentum=0)
 shift = place(tumbling, "handle") * place(trial, "grip").inverse()
 approach = pinred.simulate(chaser, **rest, momentum=0, pose0=pin.SE3ToXYZQUAT(shift))

@@ -86,7 +86,8 @@ np.testing.assert_allclose(landing.momentum_jump, jump, atol=1e-11)
 
 # %%
 assert landing.stance is not None
-robot, onward = landing.stance.system, landing.stance.start
+robot: pinred.System = landing.stance.system
+onward: dict[str, Any] = dict(landing.stance.start)
 others = [pinred.Event(f"height['{f}']", f, terminal=True, direction=-1) for f in feet if f != foot]
 stance = pinred.simulate(robot, **onward, forces=servos, events=others, duration=1.0)
 print(robot, "until", stance.ended_by, f"lands after {stance.t[-1]:.4f} s")
