@@ -44,7 +44,7 @@ def least_torque(
     a = opti.variable(m, steps + 1)
     weights = np.tile([2.0, 4.0], nodes)[:nodes] / (6 * steps)
     weights[[0, -1]] = 1.0 / (6 * steps)
-    cost, rates = 0, []
+    cost, rates = ca.MX(0), []
     opti.subject_to(theta[0] == 0.0)
     for k in range(nodes):
         i = k // 2
@@ -130,4 +130,5 @@ def _kinetic_energy(system: pinred.System, y: ca.SX, v: ca.SX) -> ca.SX:
 
 def _turned(angle: ca.SX, point: Array) -> ca.SX:
     c, s = ca.cos(angle), ca.sin(angle)
-    return ca.vertcat(c * point[0] - s * point[1], s * point[0] + c * point[1])
+    column: ca.SX = ca.vertcat(c * point[0] - s * point[1], s * point[0] + c * point[1])
+    return column

@@ -123,7 +123,9 @@ OUT_OF_REACH: Any = {
 @cache
 def rods_too_late() -> pinred.FlightPlan:
     """Plan a flight of three rods that is too short."""
-    return pinred.reorient(pinred.load("three_rods"), 3.4, duration=0.3, **OUT_OF_REACH)
+    rods = pinred.load("three_rods")
+    plan: pinred.FlightPlan = pinred.reorient(rods, 3.4, duration=0.3, **OUT_OF_REACH)
+    return plan
 
 
 def test_flight_out_of_reach_ends_nearest_and_states_the_shortest_duration() -> None:

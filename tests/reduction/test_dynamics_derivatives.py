@@ -9,7 +9,7 @@ from assertions import close
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.planning.reorientation.flight_dynamics import FlightDynamics
+from pinred.planning.reorientation.flight_dynamics import FlightDynamics, Instants
 from pinred.reduction.tree.dynamics_derivatives import InverseDynamics, Motion
 
 ROBOTS = ["planar_chain5", "solo12", "gripper", "reaction_wheel_satellite", "elroys_beanie"]
@@ -43,7 +43,8 @@ def test_inverse_dynamics_agrees_with_pinocchio_and_differences(robot: str) -> N
         return np.hstack([motion.wrench, motion.torque])
 
     def gradient(z: Array) -> Array:
-        return np.einsum("ni,nij->nj", np.hstack([Y, y]), inverse.first(at(z)))
+        weights = np.hstack([Y, y])
+        return np.asarray(np.einsum("ni,nij->nj", weights, inverse.first(at(z))))
 
     model = system.model.copy()
     model.gravity = pin.Motion.Zero()
@@ -75,17 +76,18 @@ def test_flight_dynamics_conserves_momentum_and_agrees_with_differences(robot: s
     on_torque = random.standard_normal((2, m))
     z = np.hstack([x, u, w, q])
 
-    def at(z: Array) -> object:
-        return dynamics.at(*np.split(z, [m, 2 * m, 3 * m], axis=1), L)
+    def at(z: Array) -> Instants:
+        x, u, w, q = np.split(z, [m, 2 * m, 3 * m], axis=1)
+        return dynamics.at(x, u, w, q, L)
 
     def outputs(z: Array) -> Array:
         state = at(z)
-        return np.hstack([state.rate, state.torque])  # type: ignore[attr-defined]
+        return np.hstack([state.rate, state.torque])
 
     def gradient(z: Array) -> Array:
-        slopes = dynamics.first(at(z))  # type: ignore[arg-type]
+        slopes = dynamics.first(at(z))
         pulled = np.einsum("ni,nij->nj", on_rate, slopes.rate)
-        return pulled + np.einsum("ni,nij->nj", on_torque, slopes.torque)
+        return np.asarray(pulled + np.einsum("ni,nij->nj", on_torque, slopes.torque))
 
     state = dynamics.at(x, u, w, q, L)
     assert np.abs(state.motion.wrench).max() < 1e-11 * (1.0 + np.abs(state.torque).max())
