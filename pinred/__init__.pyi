@@ -103,6 +103,7 @@ from .planning.optimisation.extremal import extremal as extremal
 from .planning.optimisation.extremal_loop import Extremal as Extremal
 from .planning.optimisation.optimise import optimise_gait as optimise_gait
 from .planning.optimisation.optimum_distance import OptimumDistance as OptimumDistance
+from .planning.reorientation.flight_plan import FlightPlan as FlightPlan
 from .planning.reorientation.reorient import reorient as reorient
 from .planning.reorientation.turn_plan import TurnPlan as TurnPlan
 from .reduction.pointwise_reduction import ReducedShape as ReducedShape

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from ..judge.compare_chain import ChainReport
     from ..judge.verdict import Report
     from ..planning.optimisation.best_gait import BestGait
+    from ..planning.reorientation.flight_plan import FlightPlan
     from ..planning.reorientation.turn_plan import TurnPlan
 
 _NO_DATE: dict[str, dict[str, Any]] = {  # Without a date, equal figures produce equal files.
@@ -67,7 +68,7 @@ def print_report(report: Report | ChainReport) -> int:
 
 
 def write_plan(
-    plan: BestGait | TurnPlan,
+    plan: BestGait | TurnPlan | FlightPlan,
     path: Path | None,
     write_data: Callable[[Path], None],
     *,
@@ -90,7 +91,8 @@ def write_plan(
         if path.suffix in FIGURES:
             from ..views.plots.by_kind import plot
 
-            save_figure(plot(plan, "loop"), path)
+            is_loop = hasattr(plan, "gait")
+            save_figure(plot(plan, "loop") if is_loop else plot(plan.trajectory, "shape"), path)
         else:
             write_data(path)
         print(describe_file(path))

@@ -160,7 +160,17 @@ REORIENT = Table(
             Whole(1), "number of equal loops", default="smallest possible", command="--cycles N"
         ),
         "duration": Key(
-            POSITIVE, "duration of the motion [s]", default="2 per cycle", command="--duration T"
+            POSITIVE, "duration of the motion [s]; effort needs it", default="2 per cycle",
+            command="--duration T",
+        ),
+        "x_end": replace(
+            SCENE_OPTIONS["x0"], text="final shape, with effort [rad | m]", default="x0",
+            command=f"--x-end {BY_JOINT}",
+        ),
+        "effort": Key(
+            Text(("torque", "rate")),
+            "no loop, but the least mean square of torque or rate within the limits",
+            default="none: a loop", command="--effort E",
         ),
     },
     "the rotation of the base",

@@ -116,7 +116,8 @@ def test_key_of_file_with_option_states_the_name_of_the_option() -> None:
     tables = [table for tables in FILES.values() for table in tables]
     for key, option in {k: v for table in tables for k, v in table.items()}.items():
         flag = option.command.partition(" ")[0]
-        assert flag in ("", f"--{key}") or (key, flag) == ("check", "--check-steps")
+        dashed = f"--{key.replace('_', '-')}"
+        assert flag in ("", dashed) or (key, flag) == ("check", "--check-steps")
 
 
 @pytest.mark.parametrize("command", ["simulate", "compare", "gait", "reorient", "sweep", "plot"])

@@ -1,5 +1,7 @@
 """reorient(): find a joint motion from rest to rest that rotates the base to a target.
 
+`flight_search.py` finds motions of least effort.  The rest of this text is about loops.
+
 A plan traverses its loop n times, and a cycloid makes the whole motion start and end at rest.  At
 u = t/D, with total duration D, n (u − sin 2πu / 2π) cycles are completed (see `cycloid`).  At zero
 momentum, speeds scale with 1/D and torques with 1/D².
@@ -15,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,10 +50,44 @@ from .tumbling import final_twist, joint_rotation, passage_of
 from .turn_plan import TurnPlan
 from .turning_loop import fine_path, turning_loop
 
+if TYPE_CHECKING:
+    from .flight_plan import FlightPlan
+
 CYCLES = (1, 2, 3, 4, 6, 8, 12, 16)  # numbers of cycles that are tried
 _REMAINING = 1e-10  # largest error of the final attitude, per cycle [rad]
 _TIMES = 512  # number of samples at which the rotation vectors of balls are checked
 _SECONDS = 2.0  # default duration of a cycle [s]
+
+
+@overload
+def reorient(
+    system: ConnectionSource,
+    target: ArrayLike,
+    *,
+    limits: LimitsLike | None = None,
+    speeds: LimitsLike | None = None,
+    torques: LimitsLike | None = None,
+    x0: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    momentum: ArrayLike | float = 0,
+    cycles: int | None = None,
+    duration: float | None = None,
+) -> TurnPlan: ...
+
+
+@overload
+def reorient(
+    system: ConnectionSource,
+    target: ArrayLike,
+    *,
+    limits: LimitsLike | None = None,
+    speeds: LimitsLike | None = None,
+    torques: LimitsLike | None = None,
+    x0: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    momentum: ArrayLike | float = 0,
+    duration: float,
+    x_end: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    effort: Literal["torque", "rate"],
+) -> FlightPlan: ...
 
 
 @checks_arguments
@@ -66,13 +103,20 @@ def reorient(
     momentum: ArrayLike | float = 0,
     cycles: int | None = None,
     duration: float | None = None,
-) -> TurnPlan:
+    x_end: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    effort: Literal["torque", "rate"] | None = None,
+) -> TurnPlan | FlightPlan:
     """Find a joint motion that rotates the base to a target, from rest to rest of the joints.
 
     At zero momentum, each of n cycles rotates the base by the n-th root of the target.  With
     momentum the base tumbles during the motion, passes through the target at the end, and keeps
     the twist `TurnPlan.left`.  Conservation fixes this twist for the final shape.  Velocity and
     effort limits of the robot file, and collisions between links, are not considered.
+
+    With `effort`, the motion is not a loop.  It takes the given duration, and it has the least
+    mean square of torques or rates that several starts of a nonlinear program find within the
+    limits, which include rates and efforts of the robot file.  If the target is out of reach, the
+    FlightPlan ends at the nearest attitude found, and states the shortest duration that suffices.
 
     Args:
         system: The system, or its mechanical connection. With closed loops, the independent joints
@@ -90,9 +134,12 @@ def reorient(
         momentum: 0, or the initial body momentum, (r,).
         cycles: Number of equal loops; by default as few as possible.
         duration: Total duration [s]; by default 2 s per cycle, or as long as speeds and torques
-            require.
+            require. With effort, it must be stated.
+        x_end: Final shape, with effort; by default the initial shape.
+        effort: "torque" or "rate" for a motion with the least mean square of torques or rates; by
+            default loops are planned.
     Returns:
-        The plan.
+        A TurnPlan of loops, or with effort a FlightPlan.
     Raises:
         InputError: The options are invalid or contradict each other.
         SymmetryError: Gravity rotates the base.
@@ -108,15 +155,33 @@ def reorient(
     if not group.turns:
         raise InputError(f"the group {group.name} has no rotation")
     connection.refuse_gravity()
-    require_two_joints(connection.m)
+    if effort is None:
+        require_two_joints(connection.m)
     bounds = limits_of(connection, limits, speeds, torques)
     start = _initial_shape(system, connection, bounds, x0)
     turn = _target_rotation(system, target)
     mu = vector_or_zero(momentum, system.r, "momentum", group.momentum_names)
+    if effort is not None:
+        from .flight_search import FlightRequest, file_limits, plan_flight  # needs CasADi
+
+        if effort not in ("torque", "rate"):
+            raise InputError(f'effort: expected "torque" or "rate", got {effort!r}')
+        if cycles is not None:
+            raise InputError("cycles: a motion of least effort is not a loop. Omit one of both")
+        if duration is None:
+            raise InputError("duration: a motion of least effort needs the time of flight [s]")
+        end = start if x_end is None else _initial_shape(system, connection, bounds, x_end, "x_end")
+        allowed = file_limits(
+            system, bounds, speeds=speeds is not None, torques=torques is not None
+        )
+        seconds = positive(duration, "duration")
+        return plan_flight(FlightRequest(system, turn, mu, seconds, (start, end), allowed, effort))
+    if x_end is not None:
+        raise InputError('x_end: loops end where they start. Pass effort="torque" or "rate" too')
     if mu.any() and np.isfinite(bounds.torque).any():
         raise InputError(
-            "torques: limits need zero momentum, where torques scale with the duration. With "
-            "momentum, see `plan.trajectory.driving_torques`"
+            "torques: limits of loops need zero momentum, where torques scale with the duration. "
+            'With momentum, pass effort="torque" and a duration'
         )
     cycle_counts = CYCLES if cycles is None else (whole(cycles, "cycles"),)
     if not (np.linalg.norm(turn) > 0.0 or mu.any()):
@@ -168,10 +233,10 @@ class _Request:
         return Task(self.connection, aim, "length", None, limits, 1.0, passage)
 
 
-def _shape(system: System, x0: ArrayLike | Mapping[str, ArrayLike]) -> Array:
-    ordered = np.asarray(order_by_joint(x0, system, "x0"))
-    shape = vector(ordered, system.nx, "x0", system.x_names)
-    return system.space.normalized(shape, "x0", near=False)
+def _shape(system: System, x0: ArrayLike | Mapping[str, ArrayLike], what: str = "x0") -> Array:
+    ordered = np.asarray(order_by_joint(x0, system, what))
+    shape = vector(ordered, system.nx, what, system.x_names)
+    return system.space.normalized(shape, what, near=False)
 
 
 def _centre(system: System, x0: ArrayLike | Mapping[str, ArrayLike] | None) -> Array | None:
@@ -193,31 +258,32 @@ def _initial_shape(
     connection: Connection,
     bounds: Limits,
     x0: ArrayLike | Mapping[str, ArrayLike] | None,
+    what: str = "x0",
 ) -> Array:
-    """Return the initial coordinates, (m,).  Raises InputError if they are outside the limits."""
+    """Return the coordinates of x0 or x_end, (m,).  Raises InputError if they exceed limits."""
     start = rest_of(connection)
     if x0 is None:
         inside = (bounds.shape[:, 0] < start) & (bounds.shape[:, 1] > start)
         return np.where(inside, start, bounds.middle)
     if system.loops:
-        start = _independent_values(connection, start, x0)
+        start = _independent_values(connection, start, x0, what)
     else:
         space = system.space
-        start[space.scalar_v] = _shape(system, x0)[space.scalar_x]
+        start[space.scalar_v] = _shape(system, x0, what)[space.scalar_x]
     if ((start <= bounds.shape[:, 0]) | (start >= bounds.shape[:, 1])).any():
-        raise InputError(f"x0 must lie within the limits {bounds.shape.tolist()}, got {start}")
+        raise InputError(f"{what} must lie within the limits {bounds.shape.tolist()}, got {start}")
     return start
 
 
 def _independent_values(
-    connection: Connection, rest: Array, x0: ArrayLike | Mapping[str, ArrayLike]
+    connection: Connection, rest: Array, x0: ArrayLike | Mapping[str, ArrayLike], what: str
 ) -> Array:
     """Return coordinates (d,) of independent joints; those that are not named are at rest."""
     if not isinstance(x0, Mapping):
-        return vector(x0, connection.m, "x0", connection.joints)
+        return vector(x0, connection.m, what, connection.joints)
     start, names = rest.copy(), list(connection.joints)
     for name, value in x0.items():
-        start[joint_index(name, names, "x0")] = float(as_floats(value, f"x0[{name!r}]"))
+        start[joint_index(name, names, what)] = float(as_floats(value, f"{what}[{name!r}]"))
     return start
 
 
@@ -266,7 +332,8 @@ def _plan_with_momentum(request: _Request, n: int, *, quick: bool) -> TurnPlan:
     if seconds < (shortest := peaks.needed(request.bounds)):
         raise InputError(
             f"speeds need {shortest:.3g} s for {n} cycles, but the duration is {seconds:g} s; give "
-            "another duration, which also determines how far the base drifts"
+            "another duration, which also determines how far the base drifts, or plan another path "
+            'with effort="torque"'
         )
     path = fine_path(request.connection.m, start, passage, finer=2)
     end = path_lift(request.connection, path.basis, gait.series.coefficients(), passage.drift).pose
@@ -281,8 +348,9 @@ def _choose_duration(request: _Request, peaks: Peaks, n: int) -> float:
     seconds = positive(request.duration, "duration")
     if seconds < shortest:
         raise InputError(
-            f"duration: limits of speeds and torques need {shortest:.3g} s, got {seconds:g} s. "
-            "Choose a longer duration, or wider limits"
+            f"duration: limits of speeds and torques need {shortest:.3g} s for this loop, got "
+            f"{seconds:g} s. Choose a longer duration, wider limits, or another path with "
+            'effort="torque"'
         )
     return seconds
 

@@ -71,7 +71,7 @@ def inertia_derivatives(
     Returns:
         The values and derivatives.
     """
-    tree = system.workspace(_Tree, lambda: _Tree(system))
+    tree = system.workspace(ScrewTree, lambda: ScrewTree(system))
     return tree.derivatives(x, None if system.coupled is not None else of)
 
 
@@ -119,25 +119,35 @@ def _joint(model: pin.Model, i: int, space: ShapeSpace) -> _Joint:
     )
 
 
-class _Tree:
-    """The constants of a tree, and the recursion over it."""
+class ScrewTree:
+    """The constants of a tree, and the recursion over it.
+
+    Attributes:
+        count: Number M of rates of joints.
+        root: Screws of the base, which are constant in its frame, (6, r).
+        armature: Armature of base and joints, (r + M,).
+        parents: Last rate of the parent of each rate, numbered from 1, 0 for the root.
+        paths: Rates from the root to each rate, numbered from 1.
+    """
 
     def __init__(self, system: System) -> None:
+        """Store the constants."""
         model, space = system.sorted_model, tree_space(system.sorted_model)
-        self._system, self._count = system, space.m
+        self._system, self.count = system, space.m
         self._joints = [_joint(model, i, space) for i in range(2, model.njoints)]
-        self._root = axes_of(model.joints[1])  # screws of the base, constant in its frame
+        self.root = axes_of(model.joints[1])  # screws of the base, constant in its frame
         self._root_body = model.inertias[1]
-        self._armature = np.array(model.armature)
+        self.armature = np.array(model.armature)
+        self.parents = np.array([joint.parent for joint in self._joints for _ in joint.rates], int)
         # Rates are numbered from 1, and 0 is the root.
-        self._paths, self._siblings = [list[int]()], [range(1)]
+        self.paths, self._siblings = [list[int]()], [range(1)]
         for joint in self._joints:
             self._siblings += [joint.rates] * len(joint.rates)
-            self._paths += [[*self._paths[joint.parent], *joint.rates]] * len(joint.rates)
+            self.paths += [[*self.paths[joint.parent], *joint.rates]] * len(joint.rates)
 
     def derivatives(self, x: Array, of: Collection[int] | None) -> InertiaDerivatives:
         """Compute the sums over the tree; see `inertia_derivatives`."""
-        N, M, r = len(x), self._count, self._root.shape[1]
+        N, M, r = len(x), self.count, self.root.shape[1]
         screws, composites = self._composites(self._system.joint_values(x))
         ad = SE3.ad(screws)  # (N, M + 1, 6, 6); the root's is not used
         H, dH = np.zeros((N, r + M, r + M)), np.zeros((N, r + M, r + M, M))
@@ -147,19 +157,19 @@ class _Tree:
         for b in range(1, M + 1):
             dJ[b] = _inertia_change(ad[:, b], composites[:, b])
             first[:, b - 1] = dJ[b]
-            for a in self._paths[b]:
+            for a in self.paths[b]:
                 twice[a, b] = _inertia_change(ad[:, a], dJ[b])
                 second[:, a - 1, b - 1] = twice[a, b]
                 if a not in self._siblings[b]:
                     second[:, b - 1, a - 1] = twice[a, b]
-        E, J = self._root, composites[:, 0]
+        E, J = self.root, composites[:, 0]
         H[:, :r, :r] = E.T @ J @ E
         dH[:, :r, :r] = np.moveaxis(E.T @ first @ E, 1, -1)
         d2H[:, :r, :r] = np.moveaxis(E.T @ second @ E, (1, 2), (-2, -1))
         for j in range(1, M + 1):
             S = screws[:, j, :, None]
             F = composites[:, j] @ S
-            path = self._paths[j]
+            path = self.paths[j]
             path_screws = np.concatenate([np.broadcast_to(E.T, (N, r, 6)), screws[:, path]], axis=1)
             indices = [*range(r), *(r + k - 1 for k in path)]
             c = r + j - 1
@@ -169,10 +179,10 @@ class _Tree:
             for b, dF in self._momentum_derivatives(j, ad, dJ, S, F):
                 count = len(indices) if b not in path else r + self._moving(path, b)
                 dH[:, indices[:count], c, b - 1] = (path_screws[:, :count] @ dF)[..., 0]
-                for a in self._paths[b]:
+                for a in self.paths[b]:
                     if a in path:
                         d2F = -np.swapaxes(ad[:, a], 1, 2) @ dF
-                    elif j in self._paths[a]:
+                    elif j in self.paths[a]:
                         d2F = twice[a, b] @ S
                     else:
                         continue
@@ -186,7 +196,7 @@ class _Tree:
             if of is None or c - r in of:
                 dH[:, c, :c], d2H[:, c, :c] = dH[:, :c, c], d2H[:, :c, c]
         diagonal = np.arange(r + M)
-        H[:, diagonal, diagonal] += self._armature
+        H[:, diagonal, diagonal] += self.armature
         mass = self._system.mass
         return self._on_shape(
             H,
@@ -215,15 +225,22 @@ class _Tree:
             S: Screw of joint j, (N, 6, 1).
             F: Momentum of joint j's subtree at unit rate, (N, 6, 1).
         """
-        for b in range(1, self._count + 1):
-            if b in self._paths[j]:
+        for b in range(1, self.count + 1):
+            if b in self.paths[j]:
                 yield b, -np.swapaxes(ad[:, b], 1, 2) @ F
-            elif j in self._paths[b]:
+            elif j in self.paths[b]:
                 yield b, dJ[b] @ S
 
     def _composites(self, x: Array) -> tuple[Array, Array]:
         """Return screws (N, M + 1, 6) and composite inertias (N, M + 1, 6, 6) at joint values x."""
-        N, M = len(x), self._count
+        screws, inertias = self.bodies(x)
+        for joint in reversed(self._joints):
+            inertias[:, self._siblings[joint.parent]] += inertias[:, joint.rates[0], None]
+        return screws, inertias
+
+    def bodies(self, x: Array) -> tuple[Array, Array]:
+        """Return screws (N, M + 1, 6) and inertias (N, M + 1, 6, 6) at joint values x (N, nx)."""
+        N, M = len(x), self.count
         R, p = np.zeros((N, M + 1, 3, 3)), np.zeros((N, M + 1, 3))
         R[:, 0] = np.eye(3)
         screws, inertias = np.zeros((N, M + 1, 6)), np.zeros((N, M + 1, 6, 6))
@@ -236,7 +253,7 @@ class _Tree:
                 R[:, k] = R[:, k] @ rotation(x[:, i : i + 4])
                 for n in range(3):
                     axis = R[:, k, :, n]
-                    screws[:, k + n, :3], screws[:, k + n, 3:] = np.cross(p[:, k], axis), axis
+                    screws[:, k + n, :3], screws[:, k + n, 3:] = _cross(p[:, k], axis), axis
                 last = joint.rates[-1]
                 R[:, last], p[:, last] = R[:, k], p[:, k]
             elif joint.is_slide:
@@ -246,16 +263,14 @@ class _Tree:
             else:
                 axis = R[:, k] @ joint.axis[3:]
                 R[:, k] = R[:, k] @ _rotations(joint.axis[3:], x[:, i])
-                screws[:, k, :3], screws[:, k, 3:] = np.cross(p[:, k], axis), axis
+                screws[:, k, :3], screws[:, k, 3:] = _cross(p[:, k], axis), axis
             inertias[:, k] = _in_root(joint.body.matrix(), R[:, k], p[:, k])
             inertias[:, joint.rates] = inertias[:, k, None]
-        for joint in reversed(self._joints):
-            inertias[:, self._siblings[joint.parent]] += inertias[:, joint.rates[0], None]
         return screws, inertias
 
     def _on_shape(self, H: Array, dH: Array, d2H: Array, *com: Array) -> InertiaDerivatives:
         """Convert derivatives by all joints x = G y + b to derivatives by the shape y."""
-        coupled, r = self._system.coupled, self._root.shape[1]
+        coupled, r = self._system.coupled, self.root.shape[1]
         c, dc, d2c = com[0][:, 0, 0], np.moveaxis(com[1][:, 0], 1, -1), np.moveaxis(com[2], 3, 1)
         if coupled is None:
             return InertiaDerivatives(H, dH, d2H, c, dc, d2c)
@@ -273,6 +288,12 @@ def _inertia_change(ad: Array, J: Array) -> Array:
     """Return the change X J = −(adᵀ J + J ad) of a symmetric inertia J, (N, 6, 6)."""
     half = J @ ad
     return np.asarray(-(half + np.swapaxes(half, -1, -2)))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the cross products of vectors (N, 3), faster than NumPy's."""
+    (x, y, z), (u, v, w) = a.T, b.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
 
 
 def _rotations(axis: Array, angle: Array) -> Array:
