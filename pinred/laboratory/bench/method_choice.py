@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from time import process_time
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pinocchio as pin
@@ -85,7 +85,7 @@ class MethodChoice(TimingRow):
         return "".join(f"{1e3 * self.cpu[n]:>9.3g} {self.error[n]:>7.0e}" for n in self.cpu)
 
     @classmethod
-    def summary(cls, results: Sequence[TimingRow]) -> list[str]:
+    def summary(cls, results: Any) -> list[str]:
         """Return a line with the share of good choices.
 
         Args:

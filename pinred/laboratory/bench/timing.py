@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from string import Formatter
-from typing import ClassVar, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -49,7 +49,7 @@ class TimingRow:
         return "\n".join(line.rstrip() for line in lines if line.strip())
 
     @classmethod
-    def summary(cls, results: Sequence[TimingRow]) -> list[str]:  # noqa: ARG003
+    def summary(cls, results: Any) -> list[str]:  # noqa: ARG003
         """Return the lines below the table."""
         return []
 
@@ -75,7 +75,7 @@ def report(results: Sequence[object]) -> tuple[str, Tables]:
         for name, rows in result.tables().items():  # type: ignore[attr-defined]
             tables.setdefault(name, []).extend(rows)
     if results and isinstance(first := results[0], TimingRow):
-        below = first.summary(results)  # type: ignore[arg-type]
+        below = first.summary(results)
         return "\n".join([first.header(), *map(str, results), *below]), tables
     return "\n\n".join(map(str, results)), tables
 
