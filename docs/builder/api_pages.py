@@ -61,6 +61,9 @@ TASKS = (
         "analysis.connections", "analysis.frames", "analysis.full_reduction", "analysis.gaits",
         "analysis.loop_reduction", "analysis.phases", "planning.", "reduction.",
     )),
+    Task("impacts", "Stops, captures, releases and landings", (
+        "scene.stop", "simulation.contact", "simulation.impacts", "judge.compare_chain",
+    )),
     Task("stability", "Steady motions and stability", (
         "analysis.branches", "analysis.equilibria", "analysis.stability",
     )),

@@ -47,9 +47,7 @@ def place(motion: pinred.Trajectory, link: str) -> pin.SE3:
 # %%
 tumbling = pinred.simulate(target, xi0=[0.02, -0.01, 0.03, 0.15, 0.30, -0.20], duration=4.0)
 swing = {"shoulder": "0.5*(1-cos(pi*t/4))", "elbow": "-0.3*(1-cos(pi*t/4))"}
-rest: dict[str, Any] = {
-    "x0": [0.0] * 5, "prescribed": swing, "hold": "others", "duration": 4.0,
-}  # fmt: skip
+rest: dict[str, Any] = {"x0": [0.0] * 5, "prescribed": swing, "hold": "others", "duration": 4.0}
 trial = pinred.simulate(chaser, **rest, momentum=0)
 shift = place(tumbling, "handle") * place(trial, "grip").inverse()
 approach = pinred.simulate(chaser, **rest, momentum=0, pose0=pin.SE3ToXYZQUAT(shift))
@@ -74,7 +72,6 @@ np.testing.assert_allclose(capture.momentum, capture.momentum_before, atol=1e-13
 red = pinred.Reduction(capture.system)
 state = capture.instant
 after = red.split(state.x).kinetic_energy(state.xdot, state.xi)
-print(f"energy before {capture.energy_before:.4f} J, after {after:.4f} J")
 np.testing.assert_allclose(capture.energy_before - after, capture.energy_lost, atol=1e-12)
 
 # %% [markdown]

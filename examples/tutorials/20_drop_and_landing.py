@@ -22,21 +22,19 @@ feet = [name[:2] + "_FOOT" for name in solo.shape_names if name.endswith("HAA")]
 
 # %% [markdown]
 # ## Flight
-# Springs and dampers hold the legs, as simple servos do, and stops limit their motion. At the start
-# only the trunk rotates, so the legs swing into their stops; these impulses are internal. A formula
-# such as height['FL_FOOT'] watches a foot: where the first one comes down to the ground, the flight
+# Springs and dampers hold the legs, as weak servos do, within stops 0.01 rad on either side. At the
+# start only the trunk rotates, so legs swing into their stops; these impulses are internal. The
+# formula height['FL_FOOT'] watches a foot: where the first one comes down to the ground, the flight
 # ends.
 
 # %%
-servos: list[Spring | Damper] = [Spring(name, 4.0, angle) for name, angle in stand.items()]
-servos += [Damper(name, 0.1) for name in stand]
+servos: list[Spring | Damper] = [Spring(name, 0.3, angle) for name, angle in stand.items()]
+servos += [Damper(name, 0.01) for name in stand]
 touches = [pinred.Event(f"height['{foot}']", foot, terminal=True, direction=-1) for foot in feet]
 stops = {name: (angle - 0.01, angle + 0.01) for name, angle in stand.items()}
-options: dict[str, Any] = {
-    "x0": stand, "forces": servos, "stops": stops, "events": touches, "duration": 2.0,
-}  # fmt: skip
+options: dict[str, Any] = {"x0": stand, "forces": servos, "stops": stops, "events": touches}
 flight = pinred.simulate(
-    solo, pose0=[0, 0, 0.6, 0, 0, 0, 1], xi0=[0, 0, 0, 0.6, -0.9, 0.0], **options
+    solo, pose0=[0, 0, 0.6, 0, 0, 0, 1], xi0=[0, 0, 0, 0.6, -0.9, 0.0], duration=2.0, **options
 )
 foot = str(flight.ended_by)
 print(f"{foot} meets the ground at t = {flight.t[-1]:.6f} s")

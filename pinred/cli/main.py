@@ -67,6 +67,7 @@ _GROUPS = {  # {module without "_commands": its commands}
     "motion": ("compare", "simulate", "run", "sweep"),
     "view": ("plot", "play", "feel", "field"),
     "gait": ("phase", "gait", "reorient"),
+    "impact": ("capture", "release", "land"),
     "installation": ("cache", "doctor"),
     "laboratory": ("published", "stress", "corpus", "bench"),
 }

@@ -1,4 +1,4 @@
-"""The motion after a capture, release or landing: options, simulation, and the chain."""
+"""Commands of impacts: capture, release and land, and the motion that follows."""
 
 from __future__ import annotations
 
@@ -20,13 +20,81 @@ if TYPE_CHECKING:
     from ..system.system import System
     from ..views.motion_source import MotionSource
 
-MOTION = "scene file (.toml), whose end counts, or motion traj.npz, whose last state counts"
+_MOTION = "scene file (.toml), whose end counts, or motion traj.npz, whose last state counts"
 _AFTER = (
     "duration", "prescribed", "hold", "springs", "passive", "friction", "rtol", "atol", "method",
 )  # fmt: skip
 
 
-def add_after(sub: argparse.ArgumentParser) -> None:
+def add_capture_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    sub.add_argument("first", metavar="FIRST", help=f"the robot that captures: {_MOTION}")
+    sub.add_argument("second", metavar="SECOND", help="the other robot, at the same time")
+    add = option_adder(sub)
+    add("--at FRAME", "link or frame of the first", required=True)
+    add("--onto FRAME", "link or frame of the second", required=True)
+    add("--tolerance T", "largest distance [m] and angle [rad] of the frames", float, 1e-6)
+    add("--prefix P", "text before the names of the second")
+    _add_after(sub)
+
+
+def run_capture(arguments: argparse.Namespace) -> int:
+    """Print the capture.  Returns 0, or the verdict of --compare."""
+    from ..simulation.contact.capture import capture
+
+    _check_after(arguments)
+    motions = [_motion_before(path) for path in (arguments.first, arguments.second)]
+    result = capture(
+        motions[0], motions[1], at=arguments.at, onto=arguments.onto,
+        tolerance=arguments.tolerance, prefix=arguments.prefix,
+    )  # fmt: skip
+    return _follow(arguments, motions, result, [(result.system, result.start)])
+
+
+def add_release_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    sub.add_argument("motion", metavar="MOTION", help=f"the robot: {_MOTION}")
+    add = option_adder(sub)
+    add("--link LINK", "link behind the joint that opens, or the joint", required=True)
+    add("--root LINK", "link of the released part that its pose describes", default="")
+    _add_after(sub)
+
+
+def run_release(arguments: argparse.Namespace) -> int:
+    """Print the release.  Returns 0, or the verdict of --compare."""
+    from ..simulation.contact.capture import release
+
+    _check_after(arguments)
+    motion = _motion_before(arguments.motion)
+    result = release(motion, arguments.link, root=arguments.root)
+    parts = (result.carrier, result.released)
+    return _follow(arguments, [motion], result, [(part.system, part.start) for part in parts])
+
+
+def add_land_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    sub.add_argument("motion", metavar="MOTION", help=f"the robot in flight: {_MOTION}")
+    add = option_adder(sub)
+    add("--frame F[,F2]", "link or frame that stops, or several at once", required=True)
+    add("--contact C", "point: its origin stops; flat: it stops turning, too", str, "point")
+    _add_after(sub)
+
+
+def run_land(arguments: argparse.Namespace) -> int:
+    """Print the landing.  Returns 0, or the verdict of --compare."""
+    from ..simulation.contact.landing import land
+
+    _check_after(arguments)
+    motion = _motion_before(arguments.motion)
+    landing = land(motion, arguments.frame.split(","), contact=arguments.contact)
+    stance = landing.stance
+    if stance is None and arguments.duration is not None:
+        raise InputError(f"--duration: {landing.why_no_stance}")
+    states = [] if stance is None else [(stance.system, stance.start)]
+    return _follow(arguments, [motion], landing, states)
+
+
+def _add_after(sub: argparse.ArgumentParser) -> None:
     """Add the options of the motion after the impact."""
     add_options(sub, _keys())
     add = option_adder(sub)
@@ -40,7 +108,7 @@ def _keys() -> dict[str, Key]:
     return {name: SCENE_OPTIONS[name] for name in _AFTER}
 
 
-def check_after(arguments: argparse.Namespace) -> None:
+def _check_after(arguments: argparse.Namespace) -> None:
     """Check the options before a long simulation.  Raises InputError."""
     from ..common.files import DATA, check_path
 
@@ -51,7 +119,7 @@ def check_after(arguments: argparse.Namespace) -> None:
         raise InputError("pass --duration T to simulate the motion after the impact")
 
 
-def motion_before(path: str) -> MotionSource:
+def _motion_before(path: str) -> MotionSource:
     """Return the motion in a scene file or recording."""
     check_robot(path, None)
     if Path(path).suffix not in (".toml", ".npz"):
@@ -59,7 +127,7 @@ def motion_before(path: str) -> MotionSource:
     return motion_in(path, None)
 
 
-def follow(
+def _follow(
     arguments: argparse.Namespace,
     before: Sequence[MotionSource],
     impact: Capture | Release | Landing,
