@@ -90,11 +90,12 @@ def damping(s: SeenState) -> dict[str, object]:
 
 
 caught_at = dict(zip(capture.system.shape_names, state.x.tolist(), strict=True))
-brakes = [Spring(name, 200.0, caught_at[name]) for name in ("shoulder", "elbow")]
-brakes += [Damper(name, 60.0) for name in ("shoulder", "elbow")]
+springs = [Spring(name, 200.0, caught_at[name]) for name in ("shoulder", "elbow")]
+dampers = [Damper(name, 60.0) for name in ("shoulder", "elbow")]
 detumbling = pinred.simulate(
-    capture.system, **capture.start, forces=[Torque(damping, name="wheels"), *brakes], duration=60.0
-)
+    capture.system, **capture.start, duration=60.0,
+    forces=[Torque(damping, name="wheels"), *springs, *dampers],
+)  # fmt: skip
 rates = np.linalg.norm(detumbling.xi[:, 3:], axis=1)
 print(f"rotation of the bus: {rates[0]:.4f} rad/s after the capture, {rates[-1]:.1e} at the end")
 assert rates[-1] < 1e-3 * rates[0]
