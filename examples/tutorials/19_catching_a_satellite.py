@@ -6,8 +6,6 @@
 # pulled back to the motions that both can share, p⁺ = JᵀHv⁻, so its sum stays, and energy is lost.
 
 # %%
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 
@@ -17,8 +15,8 @@ from pinred.forces import Damper, SeenState, Spring, Torque
 still = (0.0, 0.0, 0.0)
 model = pinred.Model("chaser").body("bus", mass=60.0, inertia=[6.0, 5.0, 7.0])
 for axis in "xyz":
-    flywheel: dict[str, Any] = {"mass": 2.0, "inertia": [0.04 + 0.04 * (axis == k) for k in "xyz"]}
-    model = model.hinge(f"wheel_{axis}", parent="bus", axis=axis, **flywheel)
+    spin = [0.04 + 0.04 * (axis == k) for k in "xyz"]
+    model = model.hinge(f"wheel_{axis}", parent="bus", axis=axis, mass=2.0, inertia=spin)
 model = (
     model.hinge("shoulder", parent="bus", axis="z", at=(0.4, 0, 0), mass=4.0, inertia=0.2)
     .hinge("elbow", parent="shoulder", axis="y", at=(0.6, 0, 0), mass=3.0, inertia=0.1)
@@ -47,10 +45,11 @@ def place(motion: pinred.Trajectory, link: str) -> pin.SE3:
 # %%
 tumbling = pinred.simulate(target, xi0=[0.02, -0.01, 0.03, 0.15, 0.30, -0.20], duration=4.0)
 swing = {"shoulder": "0.5*(1-cos(pi*t/4))", "elbow": "-0.3*(1-cos(pi*t/4))"}
-rest: dict[str, Any] = {"x0": [0.0] * 5, "prescribed": swing, "hold": "others", "duration": 4.0}
-trial = pinred.simulate(chaser, **rest, momentum=0)
+trial = pinred.simulate(
+    chaser, x0=[0.0] * 5, prescribed=swing, hold="others", momentum=0, duration=4.0
+)
 shift = place(tumbling, "handle") * place(trial, "grip").inverse()
-approach = pinred.simulate(chaser, **rest, momentum=0, pose0=pin.SE3ToXYZQUAT(shift))
+approach = pinred.simulate(trial.scene, pose0=pin.SE3ToXYZQUAT(shift))
 turned = chaser.group.error(approach.pose[0], approach.pose[-1]).rotation
 print(f"the swing of the arm turned the satellite by {turned:.4f} rad")
 np.testing.assert_allclose(approach.x, trial.x, atol=1e-12)
@@ -72,6 +71,7 @@ np.testing.assert_allclose(capture.momentum, capture.momentum_before, atol=1e-13
 red = pinred.Reduction(capture.system)
 state = capture.instant
 after = red.split(state.x).kinetic_energy(state.xdot, state.xi)
+print(f"energy before {capture.energy_before:.4f} J, after {after:.4f} J")
 np.testing.assert_allclose(capture.energy_before - after, capture.energy_lost, atol=1e-12)
 
 # %% [markdown]
@@ -87,11 +87,10 @@ def damping(s: SeenState) -> dict[str, object]:
 
 
 caught_at = dict(zip(capture.system.shape_names, state.x.tolist(), strict=True))
-brakes = [Spring(name, 200.0, caught_at[name]) for name in ("shoulder", "elbow")]
-brakes += [Damper(name, 60.0) for name in ("shoulder", "elbow")]
-detumbling = pinred.simulate(
-    capture.system, **capture.start, forces=[Torque(damping, name="wheels"), *brakes], duration=60.0
-)
+springs = [Spring(name, 200.0, caught_at[name]) for name in ("shoulder", "elbow")]
+dampers = [Damper(name, 60.0) for name in ("shoulder", "elbow")]
+forces = [Torque(damping, name="wheels"), *springs, *dampers]
+detumbling = pinred.simulate(capture.system, **capture.start, forces=forces, duration=60.0)
 rates = np.linalg.norm(detumbling.xi[:, 3:], axis=1)
 print(f"rotation of the bus: {rates[0]:.4f} rad/s after the capture, {rates[-1]:.1e} at the end")
 assert rates[-1] < 1e-3 * rates[0]

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain, combinations
+from typing import cast
 
 import numpy as np
 import pinocchio as pin
@@ -42,6 +43,11 @@ class HybridMotion:
     modes: list[tuple[float, tuple[str, ...]]] = field(default_factory=list)
     q: list[Array] = field(default_factory=list)
     v: list[Array] = field(default_factory=list)
+
+
+def stops_of(traj: pinred.Trajectory) -> dict[str, pinred.Stop]:
+    """Return the stops of a trajectory's scene, which stores them parsed."""
+    return dict(cast("Mapping[str, pinred.Stop]", traj.scene.stops))
 
 
 def configuration_rate(model: pin.Model, q: Array, v: Array) -> Array:
@@ -130,15 +136,17 @@ class HybridReference:
 
     def response(self, q: Array) -> Array:
         """Return the matrix from impulses to changes of v that keep followers coupled."""
-        inverse, J = np.linalg.inv(self.mass(q)), self.J
+        inverse, J = np.asarray(np.linalg.inv(self.mass(q)), dtype=float), self.J
         if not len(J):
             return inverse
-        return inverse - inverse @ J.T @ np.linalg.solve(J @ inverse @ J.T, J @ inverse)
+        free: Array = inverse - inverse @ J.T @ np.linalg.solve(J @ inverse @ J.T, J @ inverse)
+        return free
 
     def mass(self, q: Array) -> Array:
         """Return the mass matrix."""
         upper = np.triu(pin.crba(self.model, self.data, q))
-        return upper + np.triu(upper, 1).T
+        H: Array = upper + np.triu(upper, 1).T
+        return H
 
     def normals(self, rows: tuple[int, ...]) -> Array:
         """Return the directions away from stops, as rows."""
@@ -273,7 +281,7 @@ class HybridReference:
                 break
             chosen = [k for k in chosen if k not in leaves]
         stay = tuple(k for k, r in zip(may, reaction, strict=True) if r > 0.0)
-        lost = 0.5 * (v @ H @ v - new @ H @ new)
+        lost = float(0.5 * (v @ H @ v - new @ H @ new))
         hit = np.flatnonzero(np.abs(impulse) > 1e-13 * np.abs(impulse).max(initial=1e-9))
         if hit.size:
             names = tuple(self.rows[S[k]][0] for k in hit)

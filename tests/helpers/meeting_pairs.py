@@ -167,5 +167,5 @@ def stop(H: Array, rows: Array, v: Array) -> tuple[Array, Array]:
     """Return velocities after an impact at which rows v = 0, and multipliers, by projection."""
     L = np.linalg.cholesky(H)
     K = np.linalg.solve(L, rows.T)
-    multipliers = -np.linalg.lstsq(K, L.T @ v, rcond=1e-11)[0]
+    multipliers = -np.asarray(np.linalg.lstsq(K, L.T @ v, rcond=1e-11)[0], dtype=float)
     return v + np.linalg.solve(L.T, K @ multipliers), multipliers

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hybrid_reference import stops_of
 
 import pinred
 from pinred.forces import Torque
@@ -51,7 +52,7 @@ def test_correct_motions_with_stops_pass(restitution: float, forces: list[Torque
 def test_wrong_restitution_fails() -> None:
     """Wrong restitution fails."""
     traj = cat(0.6 * (1.0 + 1e-4))
-    stops = {name: replace(stop, restitution=0.6) for name, stop in traj.scene.stops.items()}
+    stops = {name: replace(stop, restitution=0.6) for name, stop in stops_of(traj).items()}
     traj.scene = replace(traj.scene, stops=stops)
     assert "impulse of an impact [relative]" in failed(traj)
 

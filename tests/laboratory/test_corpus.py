@@ -140,9 +140,9 @@ def test_second_reader_holds_joints_as_mujoco_does(error: float, tmp_path: Path)
     value = math.radians(20.0) + 0.3 + error
     result = differences(pinred.load(file, lock={"k": value}), file, "mjcf", None)
     assert (result.mass < 1e-12) == (result.places < 1e-12) == (error == 0.0)
-    assert pinred.load(file).contents.locked.frozen == pytest.approx(
-        {"k": value - error}, abs=1e-15
-    )
+    locked = pinred.load(file).contents.locked
+    assert locked is not None
+    assert locked.frozen == pytest.approx({"k": value - error}, abs=1e-15)
 
 
 @pytest.mark.parametrize("what", ["gravity", "axis", "place"])

@@ -146,7 +146,7 @@ def test_loop_beyond_its_limits_is_rejected(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize("options", [{"harmonics": 1}, {"vertices": 8, "cost": None}])
 def test_limits_are_not_exceeded_by_round_off(options: dict[str, Any]) -> None:
     """Loops and polygons end at a small distance inside their active limits."""
-    limits = {"alpha1": 0.7, "alpha2": (-0.3, 0.9)}
+    limits: dict[str, Any] = {"alpha1": 0.7, "alpha2": (-0.3, 0.9)}
     best = pinred.optimise_gait(rods(), **options, limits=limits, starts=1)
     assert 0.0 < best.margins["limits"] < 2e-8
 

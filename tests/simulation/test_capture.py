@@ -237,7 +237,7 @@ def test_release_after_capture_gives_back_both_robots(kind: str) -> None:
 
 def test_release_of_a_fixed_link_of_a_file() -> None:
     """A link that the file fixes to another comes off: both parts are as written by hand."""
-    tool = {"mass": 2.0, "inertia": 0.3, "com": [0.0, 0.1, 0.0]}
+    tool: dict[str, Any] = {"mass": 2.0, "inertia": 0.3, "com": [0.0, 0.1, 0.0]}
     arm = pinred.Model().body("bus", mass=9.0, inertia=[2, 3, 4])
     arm = arm.hinge("elbow", parent="bus", axis="y", at=[0.5, 0, 0], mass=3.0, inertia=0.2)
     bare = pinred.load(arm, gravity=REST)

@@ -51,8 +51,9 @@ def motions(chaser: pinred.System, target: pinred.System) -> dict[str, Any]:
     pose = pin.SE3ToXYZQUAT(tool * link.inverse())
     # The target's approach is its motion backwards in time from the contact.
     back = pinred.simulate(target, pose0=pose, x0=x, xdot0=-xdot, xi0=-xi, duration=1.0)(1.0)
-    start = {"pose0": back.pose, "x0": back.x, "xdot0": -back.xdot, "xi0": -back.xi}
-    other = pinred.simulate(target, **start, duration=1.0)
+    other = pinred.simulate(
+        target, pose0=back.pose, x0=back.x, xdot0=-back.xdot, xi0=-back.xi, duration=1.0
+    )
     capture = pinred.capture(approach, other, at="tool", onto="arm", tolerance=1e-7)
     together = pinred.simulate(capture.system, **capture.start, duration=0.5)
     release = pinred.release(together, "target_arm", root="target_bus")

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from coupled_trees import make_case
-from hybrid_reference import HybridMotion, HybridReference, complementarity
+from hybrid_reference import HybridMotion, HybridReference, complementarity, stops_of
 from loop_robots import five_bar
 from trees import random_model
 
@@ -39,7 +39,7 @@ def bouncing_slide() -> pinred.System:
 
 def reference_of(traj: pinred.Trajectory, torque: Any = None) -> HybridMotion:
     """Return the motion of a trajectory's scene by the full-state code."""
-    system, stops = traj.system, dict(traj.scene.stops)
+    system, stops = traj.system, stops_of(traj)
     shape = system.joint_values(traj.x[0])
     names = system.tree.x_names
     positions = {name: float(shape[names.index(name)]) for name in stops}
@@ -55,7 +55,7 @@ def assert_equal_motions(
     hits = [(hit.t, name) for hit in motion.hits for name in hit.joints]
     assert [name for _, name in hits] == list(table.joint)
     np.testing.assert_allclose(table.t, [t for t, _ in hits], rtol=0.0, atol=times)
-    impulses_of_reference = np.concatenate([hit.impulses for hit in motion.hits] or [[]])
+    impulses_of_reference = np.concatenate([np.empty(0), *(hit.impulses for hit in motion.hits)])
     # The slowest impacts of a sequence have the relative error of their rates.
     np.testing.assert_allclose(table.impulse, impulses_of_reference, rtol=1e-6, atol=states)
     lost = [table.energy_lost[table.t == t].sum() for t in table.times]
@@ -73,7 +73,7 @@ def assert_equal_motions(
 def spatial_momentum(system: pinred.System, q: Array, v: Array) -> Array:
     """Return linear momentum, and angular momentum about the origin, by Pinocchio."""
     data = system.model.createData()
-    h = pin.computeCentroidalMomentum(system.model, data, q, v).vector.copy()
+    h: Array = pin.computeCentroidalMomentum(system.model, data, q, v).vector.copy()
     h[3:] += np.cross(data.com[0], h[:3])
     return h
 
@@ -126,7 +126,7 @@ def test_rest_and_release_agree_with_multipliers_of_the_full_state() -> None:
     k = int(np.argmax(np.abs(reaction).max(axis=1)))
     t = float(traj.t[k])
     q, v, data = traj.q[k], traj.v[k], model.createData()
-    reference = HybridReference(system, dict(traj.scene.stops), generalised)
+    reference = HybridReference(system, stops_of(traj), generalised)
     rest = tuple(
         n for n, row in enumerate(reference.rows) if reaction[k, row[1] - 6] * row[2] > 0.0
     )
@@ -192,7 +192,7 @@ def test_elastic_stops_keep_the_energy_over_200_impacts() -> None:
 def test_prescribed_and_locked_joints_are_equivalent_to_rest() -> None:
     """With restitution 0, a pressed joint moves as one that is locked when it is loaded."""
     system, force = pinred.load("falling_cat"), Torque(lambda *_: [0.2, 0.0, 0.0])
-    start = {"x0": [0.5, 0.1, -0.2], "xdot0": [0.0, 1.0, -0.7], "duration": 1.0}
+    start: dict[str, Any] = {"x0": [0.5, 0.1, -0.2], "xdot0": [0.0, 1.0, -0.7], "duration": 1.0}
     traj = pinred.simulate(
         system, **start, xi0=[0.0, 0.0, 0.0, 0.4, -0.3, 0.2], forces=[force],
         stops={"bend": (-0.5, 0.5)},
@@ -212,7 +212,9 @@ def test_other_methods_find_the_impacts_of_dop853(method: str) -> None:
     """Other methods find the impacts of dop853."""
     system = pinred.load("falling_cat")
     stops = {name: pinred.Stop(-0.6, 0.6, 0.5) for name in system.shape_names}
-    run = {"xdot0": [3.0, -2.0, 2.0], "x0": np.zeros(3), "duration": 1.0, "stops": stops}
+    run: dict[str, Any] = {
+        "xdot0": [3.0, -2.0, 2.0], "x0": np.zeros(3), "duration": 1.0, "stops": stops,
+    }  # fmt: skip
     first, other = (pinred.simulate(system, method=m, **run) for m in ("DOP853", method))
     assert len(first.impacts) >= 3
     assert first.impacts.joint == other.impacts.joint
@@ -339,7 +341,7 @@ def test_saved_motions_keep_their_impacts(tmp_path: Path) -> None:
 def test_without_stops_the_bits_of_a_motion_are_unchanged() -> None:
     """Stops that no joint reaches change neither the steps nor the end of a motion."""
     system = pinred.load("falling_cat")
-    run = {"duration": 1.0, "xdot0": [0.5, -0.4, 0.3], "method": "DOP853"}
+    run: dict[str, Any] = {"duration": 1.0, "xdot0": [0.5, -0.4, 0.3], "method": "DOP853"}
     free = pinred.simulate(system, **run)
     stopped = pinred.simulate(system, **run, stops=dict.fromkeys(system.shape_names, (-9.0, 9.0)))
     assert len(stopped.impacts) == 0
@@ -409,7 +411,7 @@ def test_functions_of_many_runs_and_flows_refuse_stops() -> None:
     with pytest.raises(pinred.InputError, match="stops"):
         pinred.simulate_many(scene, x0=np.zeros((2, 3)))
     with pytest.raises(pinred.InputError, match="stops"):
-        pinred.Flow(scene, wrt=["x0"], of=["x"], over_times=False)(np.zeros(3))
+        pinred.Flow(scene, wrt=["x0"], of=["x"], over_times=False)
     with pytest.raises(pinred.InputError, match="stops"):
         pinred.lyapunov(pinred.simulate(scene))
 
@@ -498,7 +500,9 @@ def test_impacts_within_the_tolerance_of_time_are_one(apart: float, are_one: boo
 def test_too_many_impacts_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """The message names the robot and a remedy."""
     monkeypatch.setattr(run_with_stops, "MOST_IMPACTS", 3)
-    run = {"x0": [0.5], "xdot0": [-1.0], "xi0": [0.0], "stops": {"slide": (0.0, 1.0, 1.0)}}
+    run: dict[str, Any] = {
+        "x0": [0.5], "xdot0": [-1.0], "xi0": [0.0], "stops": {"slide": (0.0, 1.0, 1.0)},
+    }  # fmt: skip
     assert len(pinred.simulate(bouncing_slide(), duration=3.2, **run).impacts) == 3
     with pytest.raises(IntegrationError, match="'slide' has more than 3 impacts"):
         pinred.simulate(bouncing_slide(), duration=5.0, **run)
@@ -506,7 +510,9 @@ def test_too_many_impacts_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_initial_position_at_a_stop_is_accepted_and_beyond_it_refused() -> None:
     """Only round-off may lie beyond a stop at the start."""
-    run = {"xdot0": [-1.0], "xi0": [0.0], "duration": 0.5, "stops": {"slide": (0.5, 1.0, 0.5)}}
+    run: dict[str, Any] = {
+        "xdot0": [-1.0], "xi0": [0.0], "duration": 0.5, "stops": {"slide": (0.5, 1.0, 0.5)},
+    }  # fmt: skip
     traj = pinred.simulate(bouncing_slide(), x0=[0.5 - 1e-13], **run)
     np.testing.assert_array_equal(traj.impacts.t, [0.0])
     np.testing.assert_allclose(traj.xdot[1:], 0.5, rtol=1e-12)
@@ -578,7 +584,7 @@ def assert_random_tree_agrees(seed: int) -> None:
     for name in chosen:
         lower, upper = values[name] + rng.uniform(0.2, 0.5, 2) * [-1.0, 1.0]
         stops[name] = pinred.Stop(lower, upper, e)
-    run = {
+    run: dict[str, Any] = {
         "x0": np.zeros(system.m), "xdot0": rng.normal(size=system.m),
         "xi0": 0.3 * rng.normal(size=system.r), "stops": stops,
     }  # fmt: skip

@@ -178,7 +178,10 @@ def test_stance_exists_where_a_symmetry_is_left(
         (lambda s: pinred.land(s, "foot"), "frame: 'rock' has no link 'foot'"),
         (lambda s: pinred.land(s, []), "frame: expected one or several frames"),
         (lambda s: pinred.land(s, ["rock", "rock"]), "each once"),
-        (lambda s: pinred.land(s, "rock", contact="line"), "contact: expected point or flat"),
+        (
+            lambda s: pinred.land(s, "rock", contact="line"),  # type: ignore[arg-type]
+            "contact: expected point or flat",
+        ),
         (lambda _: pinred.land(Scene(system=pinred.load("four_bar")), "a"), "closed loops"),
     ],
 )

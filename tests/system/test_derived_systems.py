@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -157,7 +159,7 @@ def planar_robot(tilt: float, root_tilt: float) -> System:
 def test_slightly_tilted_planes_are_refused() -> None:
     """Axes that differ by 5e-9 leave the group; round-off does not."""
     flat = planar_robot(0.0, 0.0)
-    options = {"at": "link 2", "onto": "link 1", "offset": HERE, "prefix": "b_"}
+    options: dict[str, Any] = {"at": "link 2", "onto": "link 1", "offset": HERE, "prefix": "b_"}
     assert join(flat, planar_robot(0.0, 1e-12), **options).group.name == "SE2"
     with pytest.raises(InputError, match="about different axes"):
         join(flat, planar_robot(0.0, 5e-9), **options)

@@ -36,7 +36,7 @@ def test_plots_mark_the_times_of_impacts(
     for motion in (bouncing_cat, pinred.read_recording(tmp_path / "motion.npz")):
         for axes in pinred.plot(motion, kind).axes:
             (marks,) = (c for c in axes.collections if c.get_label() == "_impacts")
-            times = [path.vertices[0, 0] for path in marks.get_paths()]
+            times = [np.asarray(path.vertices)[0, 0] for path in marks.get_paths()]
             np.testing.assert_array_equal(times, bouncing_cat.impacts.times)
     free = pinred.simulate(pinred.load("falling_cat"), duration=0.1)
     assert not any(axes.collections for axes in pinred.plot(free, "shape").axes)

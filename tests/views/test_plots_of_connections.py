@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from importlib import resources
+from typing import cast
 
 import numpy as np
 import pinocchio as pin
@@ -35,6 +36,11 @@ def rods() -> pinred.Connection:
 def contour_sets(axes: Axes) -> list[QuadContourSet]:
     """Return the contour sets of some axes."""
     return [item for item in axes.collections if isinstance(item, QuadContourSet)]
+
+
+def dash_patterns(item: QuadContourSet) -> list[tuple[float, list[float] | None]]:
+    """Return the offset and dashes of each line of a contour set."""
+    return cast("list[tuple[float, list[float] | None]]", item.get_linestyle())
 
 
 def filled_contours(axes: Axes) -> QuadContourSet:
@@ -180,7 +186,7 @@ def test_level_curves_have_neither_corners_nor_gaps_at_saddles() -> None:
         lengths.append(sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in lines))
         ends.append(np.concatenate(lines))
         levels = [item for item in contour_sets(axes) if not item.filled]
-        assert all(dashes is None for item in levels for _, dashes in item.get_linestyle())
+        assert all(dashes is None for item in levels for _, dashes in dash_patterns(item))
         assert sum(0.0 in item.levels for item in levels) == 1
     np.testing.assert_allclose(lengths, [12.0, 12.0 * np.sqrt(2.0), 2.0 * np.pi], rtol=5e-3)
     assert np.abs(ends[0].prod(axis=1)).max() < 1e-9

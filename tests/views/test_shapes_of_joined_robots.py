@@ -80,5 +80,5 @@ def test_robots_without_shapes_are_drawn_from_inertias() -> None:
     turned = drawn_bodies(
         join(bare, robot("a", 0.1), at="bare", onto="a2", offset=place, prefix="")
     )
-    assert [solid.kind for solid in drawn_bodies(turned).solids].count("box") == 3
+    assert [solid.kind for solid in turned.solids].count("box") == 3
     assert pytest.approx(both.mass) == 4.0

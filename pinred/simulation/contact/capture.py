@@ -59,7 +59,7 @@ class _AfterImpact:
     instant: Instant
 
     @property
-    def start(self) -> dict[str, Array]:
+    def start(self) -> dict[str, Any]:
         """Options that start a simulation at this state: pose0, x0, xdot0 and xi0."""
         state = self.instant
         return {"pose0": state.pose, "x0": state.x, "xdot0": state.xdot, "xi0": state.xi}
@@ -67,8 +67,7 @@ class _AfterImpact:
     @property
     def scene(self) -> Scene:
         """A scene that starts at this state."""
-        options: dict[str, Any] = {**self.start}
-        return Scene(system=self.system, **options)
+        return Scene(system=self.system, **self.start)
 
 
 # A motion, whose last state counts, or a value that states a system with its state.
