@@ -92,8 +92,9 @@ def spinning_state() -> ReferenceState:
     )  # fmt: skip
 
 
-# Momenta m v + m c × ω and m c × v + I ω, each the largest of three components.
-LINEAR = 2.0 * MASS * SPIN * ARM
+# Momenta m v + m c × ω and m c × v + I ω, each the largest of three components. The round-off of
+# levers that cancel in m c is that of the reach.
+LINEAR = 2.0 * MASS * SPIN * ARM + MASS * REACH * SPIN
 ANGULAR = MASS * SPIN * ARM**2 + INERTIA[2, 2] * SPIN
 H = SIZES_OF_H * np.array([[1, 1, 1, 1, 1, 1]] * 4 + [[1, 1, -1, 1, 1, 1]] * 2)
 H[2, 4] *= -1.0

@@ -601,7 +601,7 @@ def test_kkt_residual_is_zero_at_optima_alone() -> None:
 
 def test_wrong_winding_number_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     """The winding number is checked at the end, independently of the continuation."""
-    monkeypatch.setattr(pinred.Gait, "winding", lambda _: 3.0)
+    monkeypatch.setattr(pinred.Gait, "winding", lambda *_, **_centre: 3.0)
     with pytest.raises(pinred.NoOptimum, match="winding number 3"):
         pinred.optimise_gait(rods(), harmonics=1, starts=1)
 

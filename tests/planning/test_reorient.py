@@ -208,7 +208,7 @@ def test_reorient_with_momentum_checks_limits() -> None:
     assert np.abs(plan.trajectory.xdot).max() <= 9.0 - plan.margins["speeds"] + 1e-9
     with pytest.raises(pinred.InputError, match="how far the base drifts"):
         pinred.reorient(rods, 0.3, **options, speeds=0.1)
-    with pytest.raises(pinred.InputError, match="limits need zero momentum"):
+    with pytest.raises(pinred.InputError, match="limits of loops need zero momentum"):
         pinred.reorient(rods, 0.3, **options, torques=1.0)
     with pytest.raises(pinred.ShapeError, match="momentum"):
         pinred.reorient(rods, 0.3, **options | {"momentum": [0.1]})

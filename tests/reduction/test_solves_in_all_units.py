@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from pinred.forces.loop_dynamics import loop_motion
+from pinred.forces.inverse_dynamics import loop_motion
 from scaled_robots import Units, scaled, weld
 
 import pinred
