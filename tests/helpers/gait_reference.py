@@ -20,7 +20,7 @@ from pinred.common.arrays import Array
 
 COUNT = 128  # samples of a loop
 _FINE = 8192  # samples at which limits are refined
-_ROUNDS = 7  # largest number of solves with refined limits
+_ROUNDS = 12  # largest number of solves with refined limits
 _TURN = 0.05  # typical phase of loops with limits 1 [rad | m]
 _NEW = 1e-8  # relative gain of a better loop
 _SPREAD = 0.3  # size of the random coefficients, relative to the limits

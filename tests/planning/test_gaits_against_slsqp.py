@@ -16,7 +16,8 @@ from pinred.planning.optimisation import transcription
 
 GAP = 1e-6  # largest relative gap to the best of STARTS loops of the reference
 STARTS = 10
-MOST = 6000  # largest number of evaluations of all starts, which take about 1.5 ms each
+# Largest number of evaluations of all starts, which take about 1 ms, or 1.5 ms with three joints.
+MOST = {"three_rods": 9000, "purcell_swimmer": 9000, "falling_cat": 6000}
 LIMITS = {0.5: 2, 0.7: 3, 0.9: 2, 1.1: 3, 1.3: 2}  # limits of all joints [rad], and harmonics
 QUICK = ("three_rods-rotation-length-0.9", "three_rods-rotation-torque-0.5")
 TASKS: dict[str, dict[str, dict[str, Any]]] = {
@@ -86,7 +87,7 @@ def test_reference_finds_no_better_gait(
     merit = reference.merit(best.gait)  # of a target: −cost
     gap = (expected - merit) / abs(expected)
     print(f"GAP {gap:.1e} merit {merit:.10g} evaluations {count[0]} found {best.found}")
-    assert count[0] <= MOST
+    assert count[0] <= MOST[robot]
     assert gap <= GAP
     assert best.margins["limits"] >= 0.0
     assert best.merit == pytest.approx(merit, rel=1e-7)
