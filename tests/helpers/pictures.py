@@ -115,8 +115,8 @@ def report() -> pinred.Report:
     errors = {
         "t": t, "shape_errors": 1e-11 * t[:, None]**2, "rotation_errors": 3e-12 * t,
         "position_errors": 1e-12 * t**3, "shape_bounds": 1e-8 * t[:, None],
-        "rotation_bounds": 3e-8 * t, "position_bounds": 1e-7 * t, "growth": t, "told": 80, "stop_checks": (),
-        "reasons": (), "left_out": "",
+        "rotation_bounds": 3e-8 * t, "position_bounds": 1e-7 * t, "growth": t, "told": 80,
+        "reasons": (), "left_out": "", "stop_checks": (),
     }  # fmt: skip
     return pinred.Report(**{**scalars, **names, **errors})
 

@@ -14,13 +14,13 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from pinred.forces.inverse_dynamics import loop_motion
 from scaled_robots import Units, scaled, weld
 
 import pinred
 from pinred import poisson
 from pinred.analysis.connections.wheels import slip_matrix, slips_of
 from pinred.common.arrays import Array
+from pinred.forces.inverse_dynamics import loop_motion
 from pinred.kernels.connection.connection_form import velocity_graph
 from pinred.kernels.reference_state import length_of, steps_of
 from pinred.reduction.inertia_split import mass_matrix
