@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,6 +29,6 @@ def test_plans_within_limits_of_the_file_hit_no_stop() -> None:
 def test_plan_beyond_the_limits_of_the_file_runs_into_a_stop() -> None:
     """The error names the joint."""
     cat = pinred.load("falling_cat")
-    plan = {"bend": "1.7*sin(t)", "sway": 0.0, "twist": 0.0}
+    plan: dict[str, Any] = {"bend": "1.7*sin(t)", "sway": 0.0, "twist": 0.0}
     with pytest.raises(pinred.InputError, match="'bend' runs into its upper stop"):
         pinred.simulate(cat, prescribed=plan, momentum=0, duration=3.0, stops="file")

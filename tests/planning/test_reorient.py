@@ -226,10 +226,10 @@ def test_reorient_with_momentum_checks_limits() -> None:
         ({"target": 0.3, "duration": -1.0}, "duration must be finite and above zero"),
     ],
 )
-def test_reorient_rejects_invalid_options(options: dict[str, object], message: str) -> None:
+def test_reorient_rejects_invalid_options(options: dict[str, Any], message: str) -> None:
     """The message names the option."""
     with pytest.raises(pinred.InputError, match=re.escape(message)):
-        pinred.reorient(pinred.load("three_rods"), **options)  # type: ignore[arg-type]
+        pinred.reorient(pinred.load("three_rods"), **options)
 
 
 def test_target_of_another_length_is_explained() -> None:
