@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
@@ -47,7 +48,8 @@ _FAR = 0.02  # miss of a nearest attitude on the coarse grid that ends the searc
 _NEAR = 1e-3  # miss of the nearest attitude at which the target counts as reachable [rad]
 _SOLVED = 1e-6  # violation of the equations of a nearest attitude that is accepted
 _REACHED = 1e-9  # error of the final attitude at which corrections end [rad]
-_INSIDE = 4  # number of points in each segment at which torques are compared
+_INSIDE = 8  # number of points in each segment at which torques are computed
+_DENSE = 65  # number of times in each segment at which they are interpolated
 _ACTIVE = 5e-3  # distance to a limit, relative to the limit, below which it is active
 _TIGHTEST = 0.5  # smallest factor on a limit at the nodes; less means that corrections diverge
 _MARGIN = 1e-5  # smallest distance to limits at the nodes, relative to the limit
@@ -57,6 +59,11 @@ _GROWTH, _LONGEST = 1.3, 10  # factor between durations that are tried, and thei
 _RESOLUTION = 0.01  # relative resolution of the shortest duration
 _CLOSE = 0.6  # use of a limit, relative to it, above which finer programs consider the limit
 _KINDS = ("limits", "speeds", "torques")
+# Values at _DENSE times of a segment by those at its points, (_DENSE, _INSIDE + 1).
+_INTERPOLATION = np.linalg.solve(
+    chebvander(np.linspace(-1.0, 1.0, _INSIDE + 1), _INSIDE).T,
+    chebvander(np.linspace(-1.0, 1.0, _DENSE), _INSIDE).T,
+).T
 
 
 def file_limits(system: System, limits: Limits, *, speeds: bool, torques: bool) -> Limits:
@@ -431,7 +438,7 @@ class _Flight:
         rows = zip(q, *program.dynamics.rates(x[::_INSIDE], u[::_INSIDE]), strict=True)
         slopes = np.array([program.dynamics.attitude_rate(*row, L) for row in rows])
         between = CubicHermiteSpline(t[::_INSIDE], q, slopes)(t)
-        torque = np.abs(program.dynamics.at(x, u, w, between, L).torque)
+        torque = program.dynamics.at(x, u, w, between, L).torque
         h, middle = self.duration / count, self.limits.middle
         shape, rate = _extremes(x[::_INSIDE] - middle, u[:: _INSIDE // 2], h)
         return np.array([shape, rate, _peaks(torque)])
@@ -551,14 +558,15 @@ def _extremes(x: Array, u: Array, h: float) -> tuple[Array, Array]:
 
 
 def _peaks(values: Array) -> Array:
-    """Return the maxima, (m,), of samples (N, m) that are smooth within each segment.
+    """Return the largest magnitudes, (m,), of samples (N, m) that are smooth within each segment.
 
-    A parabola through three samples estimates a maximum between them.  Ends of segments may be
-    kinks, and are samples themselves.
+    Polynomials through the samples of each segment are evaluated at _DENSE times, and parabolas
+    through three of these values estimate maxima between them.
     """
-    before, at, after = values[:-2], values[1:-1], values[2:]
+    pieces = [values[k : len(values) - _INSIDE + k : _INSIDE] for k in range(_INSIDE + 1)]
+    dense = np.abs(np.einsum("dk,knm->dnm", _INTERPOLATION, np.array(pieces)))
+    before, at, after = dense[:-2], dense[1:-1], dense[2:]
     bend = before - 2.0 * at + after
-    inside = np.arange(1, len(values) - 1) % _INSIDE != 0
-    top = (at >= before) & (at >= after) & (bend < 0.0) & inside[:, None]
+    top = (at >= before) & (at >= after) & (bend < 0.0)
     raised = at - np.where(top, (before - after) ** 2 / (8.0 * np.where(top, bend, -1.0)), 0.0)
-    return np.asarray(np.maximum(values.max(axis=0), raised.max(axis=0)))
+    return np.asarray(np.maximum(dense.max(axis=(0, 1)), raised.max(axis=(0, 1))))
