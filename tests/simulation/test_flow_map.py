@@ -392,3 +392,15 @@ def test_stages_are_stored_below_a_size_limit(method: str, monkeypatch: pytest.M
         flow._last = None
         agrees()
         assert kept() is expected
+
+
+def test_derivative_that_is_not_finite_is_refused() -> None:
+    """1/cosh is zero where cosh overflows, but its expression of the derivative is ∞/∞."""
+    pulse = Torque({"bend": lambda t, *_: 0.5 / ca.cosh((t - 1.0) / 1e-3)})
+    cat = pinred.load("falling_cat")
+    flow = pinred.flow(cat, forces=[pulse], seed=1, duration=2.0, method="DOP853", wrt=["x0"])
+    assert np.isfinite(flow().x).all()
+    with pytest.raises(pinred.IntegrationError, match="a derivative of the flow of 'falling_cat'"):
+        flow.jacobian()
+    with pytest.raises(pinred.IntegrationError, match="cosh overflows"):
+        flow.jvp({"x0": [1.0, 0.0, 0.0]})

@@ -245,6 +245,8 @@ class Propagator:
             constants: Directions of the inputs' constants, (…, N).
         Returns:
             (T, rows, N).
+        Raises:
+            IntegrationError: A derivative is not finite.
         """
         layout, size = self.kernel.layout, self._size(rows)
         y, parameters, path = self.initial.along(run.given, state, constants)
@@ -268,9 +270,9 @@ class Propagator:
                 a_along = np.zeros((len(a), state.shape[1]))
                 a_along[: layout.size] = slopes[: layout.size]
                 derivatives.append(outcome.forward(a, b, a_along, b_along, size))
-        return np.array(derivatives)
+        return self._finite(np.array(derivatives))[0]
 
-    def back(self, run: Run, rows: tuple[Row, ...], covectors: Array) -> tuple[Array, Array]:
+    def back(self, run: Run, rows: tuple[Row, ...], covectors: Array) -> tuple[Array, ...]:
         """Return the cotangents of the inputs' state and constants.
 
         Args:
@@ -279,6 +281,8 @@ class Propagator:
             covectors: Cotangents of the outputs, (T, rows).
         Returns:
             Cotangents of `state` and of `constants`.
+        Raises:
+            IntegrationError: A derivative is not finite.
         """
         layout = self.kernel.layout
         adjoint = self._backs.get(rows)
@@ -301,7 +305,17 @@ class Propagator:
             by_rest[:p] += gradients.by_parameters
             if k in jumps:
                 by_numbers += (covector @ jumps[k].change) * jumps[k].only_slopes()
-        return self.initial.back(run.given, covector, by_rest[:p], by_rest[p:])
+        return self._finite(*self.initial.back(run.given, covector, by_rest[:p], by_rest[p:]))
+
+    def _finite(self, *derivatives: Array) -> tuple[Array, ...]:
+        """Return derivatives.  Raises IntegrationError if one is not finite."""
+        if not all(np.isfinite(part).all() for part in derivatives):
+            raise IntegrationError(
+                f"a derivative of the flow of '{self.kernel.system.name}' is not finite, although "
+                "the motion is, as with a force such as 1/cosh(t), whose derivative is ∞/∞ where "
+                "cosh overflows. Write the force so that no part of it overflows"
+            )
+        return derivatives
 
     def one_step(
         self,
