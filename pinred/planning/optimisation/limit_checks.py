@@ -183,8 +183,6 @@ class LimitedLoop:
     def scaled(self, kind: int, s: Array) -> Array:
         """Return the quantities q of one kind at times s (N,), (N, m)."""
         states = [rows @ self.c for rows in fourier_rows(self.harmonics, s)]
-        if not len(s):
-            return states[0]
         q = torques(self.connection, *states) if kind == _TORQUE else states[kind]
         return np.asarray((q - self.limits.middle * (kind == 0)) / self.scale(kind))
 

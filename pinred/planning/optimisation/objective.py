@@ -267,6 +267,8 @@ def torques(connection: Connection, x: Array, slope: Array, bend: Array) -> Arra
     Returns:
         (N, m): the torques.
     """
+    if not len(x):
+        return np.zeros_like(x)
     if connection.form.momentum:
         forces = connection.code.covariant_forces(x, slope, bend, np.zeros_like(x))[0]
     else:
