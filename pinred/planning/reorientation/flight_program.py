@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from ...common.arrays import Array
+from ...common.casadi_callback import ArrayCallback
 from ...system.system import System
 from .flight_dynamics import FlightDynamics, Instants, Slopes
 
@@ -443,8 +444,8 @@ class _Pattern:
         return ca.Sparsity(self.rows, self._columns, starts.tolist(), self.row.tolist())
 
 
-class _Function(ca.Callback):
-    """A function of arrays for CasADi.
+class _Function(ArrayCallback):
+    """A function of flat arrays for CasADi, which reads and writes its buffers.
 
     Attributes:
         errors: Exceptions, which CasADi would print.
@@ -458,34 +459,11 @@ class _Function(ca.Callback):
         compute: Callable[..., list[Array | float]],
     ) -> None:
         """Create the function; `compute` maps flat inputs to flat outputs."""
-        ca.Callback.__init__(self)
-        self._inputs, self._outputs, self._compute = inputs, outputs, compute
+        self._compute = compute
         self.errors: list[BaseException] = []
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        """Return the number of inputs."""
-        return len(self._inputs)
-
-    def get_n_out(self) -> int:
-        """Return the number of outputs."""
-        return len(self._outputs)
-
-    def get_name_in(self, i: int) -> str:
-        """Return the name of an input."""
-        return self._inputs[i][0]
-
-    def get_name_out(self, i: int) -> str:
-        """Return the name of an output."""
-        return self._outputs[i][0]
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """Return the sparsity of an input."""
-        return self._inputs[i][1]
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        """Return the sparsity of an output."""
-        return self._outputs[i][1]
+        super().__init__(
+            name, inputs, outputs, lambda arrays: [np.asarray(value) for value in compute(*arrays)]
+        )
 
     def has_eval_buffer(self) -> bool:
         """Return that `eval_buffer` is the function."""

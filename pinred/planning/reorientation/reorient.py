@@ -116,7 +116,8 @@ def reorient(
     With `effort`, the motion is not a loop.  It takes the given duration, and it has the least
     mean square of torques or rates that several starts of a nonlinear program find within the
     limits, which include rates and efforts of the robot file.  If the target is out of reach, the
-    FlightPlan ends at the nearest attitude found, and states the shortest duration that suffices.
+    FlightPlan ends at the nearest attitude found, and states the shortest longer duration at which
+    a coarse search lands, to one percent.
 
     Args:
         system: The system, or its mechanical connection. With closed loops, the independent joints
