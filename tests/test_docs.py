@@ -14,7 +14,7 @@ from mjcf_constructs import ACTING
 import pinred
 from pinred.cli.main import COMMANDS, main
 from pinred.lie import GROUPS
-from pinred.system.catalogue import bundled_folder, bundled_robots
+from pinred.system.robot_files import bundled_folder, bundled_robots
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -20,7 +20,7 @@ from site_pages_in_browser import broken_links, faults_in_browser
 import pinred
 from pinred import plots
 from pinred.cli import main
-from pinred.system.catalogue import has_example_robots
+from pinred.system.robot_files import has_example_robots
 from pinred.views.playback.headless_browser import Browser
 
 pytest.importorskip("myst_parser")

@@ -23,7 +23,7 @@ from scipy.interpolate import CubicSpline
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.system.catalogue import has_example_robots
+from pinred.system.robot_files import has_example_robots
 
 pytestmark = pytest.mark.slow
 

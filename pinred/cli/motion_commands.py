@@ -256,7 +256,7 @@ def run_sweep(arguments: argparse.Namespace) -> int:
     from ..simulation.simulate import as_scene
     from ..sweeps.sweep import sweep
     from ..system.body_parameters import refuse_vague
-    from ..system.variants import nominal
+    from ..system.system import nominal
 
     file = read_scene_file(arguments.scene)
     scene = file.scene

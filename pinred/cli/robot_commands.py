@@ -40,16 +40,16 @@ def add_robots_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_robots(arguments: argparse.Namespace) -> int:
     """Print the names of the robots.  Returns 0."""
-    from ..system import catalogue
+    from ..system.robot_files import INSTALL_ROBOTS, bundled_robots, example_robots
 
-    bundled = catalogue.bundled_robots()
+    bundled = bundled_robots()
     width = max(map(len, bundled))
     print("bundled:")
     for name, robot in bundled.items():
         print(f"  {name:<{width}}  {robot.group:<3}  {robot.description}")
-    examples = catalogue.example_robots()
+    examples = example_robots()
     if not examples:
-        print(f"more (solo12, talos, ur5, …): {catalogue.INSTALL_ROBOTS}")
+        print(f"more (solo12, talos, ur5, …): {INSTALL_ROBOTS}")
         return 0
     print("from example-robot-data:")
     if not arguments.check:

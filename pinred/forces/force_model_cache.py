@@ -22,8 +22,7 @@ from ..common.parameter import Parameter, VectorParameter, parameters_in, values
 from ..reduction.potential import spring_pair
 from ..reduction.tree.free_bodies import NOTHING, freed_of
 from ..system.model_parameters import ModelParameters
-from ..system.system import System
-from ..system.variants import nominal
+from ..system.system import System, nominal
 from .actuation import Actuation
 from .controller import Controller
 from .force import Force, Limit

@@ -17,8 +17,7 @@ from ..reduction.tree.identical_branches import Lanes
 from ..reduction.tree.loop_constraints import GAUGE_RATE
 from ..system.loops.kinematics import loop_ends
 from ..system.loops.loop import Loop
-from ..system.system import System
-from ..system.variants import nominal
+from ..system.system import System, nominal
 from .kernel import Kernel
 from .machine.native import compile_object
 from .reduced_graph import ReducedGraph

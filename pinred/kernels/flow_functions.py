@@ -21,7 +21,7 @@ from ..common.machine_code import NativeCode
 from ..common.memo import once
 from ..reduction.base_parts import into_body
 from ..reduction.tree.scalars import quaternion_rate
-from ..system.shape_space import ShapeSpace
+from ..system.coordinates import ShapeSpace
 from ..system.state_fields import Outcome, derivative_rows
 from ..system.system import System
 from .base_graph import rotated

@@ -28,8 +28,7 @@ from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.free_bodies import NOTHING, Freed, free_numbers, total_mass, with_free
 from ..reduction.tree.momenta import centre_of_mass, momenta
 from ..reduction.tree.scalars import Scalar
-from ..system.system import System
-from ..system.variants import nominal
+from ..system.system import System, nominal
 from .base_graph import BaseGraph
 from .build import model_bytes
 from .evaluate import evaluate

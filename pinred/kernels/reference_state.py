@@ -19,7 +19,7 @@ from ..reduction.tree.free_bodies import Freed, free_numbers, other_placement
 from ..system.loops.loop_assembly import CLOSED, assemble
 from ..system.loops.looped_system import loop_jacobian
 from ..system.scale import moved_masses, radius_of_gyration
-from ..system.variants import in_gravity, with_numbers
+from ..system.system import in_gravity, with_numbers
 from .loops_by_pinocchio import with_closed_loops
 
 if TYPE_CHECKING:

@@ -16,9 +16,9 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array, read_only
+from ..system.coordinates import PlacedJoint
 from ..system.loops.loop_closure import loop_rates
 from ..system.scale import radius_of_gyration
-from ..system.shape_space import PlacedJoint
 from ..system.system import System
 
 _NO_DEPENDENCE = 1e-12  # largest asymmetry that counts as zero, relative to the body's inertia

@@ -16,7 +16,7 @@ from ..common.arrays import Array, as_floats, read_only
 from ..common.errors import InputError, ShapeError
 from ..common.names import joint_index
 from ..lie.rotations import quaternion_exp
-from ..system.shape_space import PlacedJoint
+from ..system.coordinates import PlacedJoint
 from ..system.system import System
 
 _RATES = "xdot0"  # option whose values are rates; all other options are shapes

@@ -13,8 +13,7 @@ from ..common.errors import InputError
 from ..common.names import brief, listed
 from ..common.parameter import Parameter, VectorParameter, refuse_entry
 from ..system.model_parameters import ModelParameters, joined, kinds_near, plain_value, requested
-from ..system.system import System
-from ..system.variants import nominal
+from ..system.system import System, nominal
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,7 @@ from ..integrators.methods import DOP853_LEAST, AdaptiveGauss, ErrorControl, Met
 from ..system.coordinates import InitialState
 from ..system.model_parameters import ModelParameters
 from ..system.robot_file_contents import Keyframe
-from ..system.system import checked_system
-from ..system.variants import nominal
+from ..system.system import checked_system, nominal
 from . import input_formats
 from .event import Event, list_events, watched_of
 from .file_forces import (

@@ -17,7 +17,7 @@ from ..common.names import listed
 from ..scene.option_checks import list_forces
 from ..system.robot_file_contents import StatedLimit
 from ..system.stated_limits import limits_of
-from ..system.variants import nominal
+from ..system.system import nominal
 
 if TYPE_CHECKING:
     from ..system.state_fields import ShapeState, State

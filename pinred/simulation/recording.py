@@ -28,8 +28,8 @@ from ..common.files import is_file
 from ..common.names import plain_path, quoted, quoted_path
 from ..lie.groups import GROUPS
 from ..system.body_parameters import refuse_vague
-from ..system.catalogue import bundled_robots
 from ..system.load import is_path
+from ..system.robot_files import bundled_robots
 from ..system.state_fields import FIELDS, Axis, ShapeState, State
 from .impacts import ImpactTable, no_impacts, table_in
 from .over_time import OverTime

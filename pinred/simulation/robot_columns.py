@@ -24,7 +24,7 @@ from ..reduction.tree.free_bodies import (
 )
 from ..scene.scene import Scene
 from ..system.model_parameters import ModelParameters
-from ..system.variants import in_gravity, nominal
+from ..system.system import in_gravity, nominal
 
 Slopes = dict[str, Array]
 

@@ -21,8 +21,7 @@ from ..scene.repeated_scene import scene_of
 from ..scene.scene import ENGINES, Engine, Scene
 from ..scene.scene_options import SceneOptions
 from ..system.model_parameters import joined
-from ..system.system import System, checked_system
-from ..system.variants import nominal
+from ..system.system import System, checked_system, nominal
 from .compiled.code_ahead import expect_integration
 from .limit_excess import excess_notice
 from .plan import Plan, plan_of

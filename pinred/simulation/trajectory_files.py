@@ -27,8 +27,7 @@ from ..system.locked_joints import LockValue
 from ..system.model_parameters import GRAVITY
 from ..system.robot_file_contents import Origin
 from ..system.state_fields import FIELDS, arrays_of, axis_labels, dimension
-from ..system.system import System
-from ..system.variants import nominal
+from ..system.system import System, nominal
 from .impacts import ImpactTable, impact_arrays
 from .over_time import OverTime
 

@@ -10,7 +10,9 @@ import hmac
 import pickle
 from contextlib import suppress
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 from ..common.errors import InputError
 from ..common.files import read_plain_file, write_atomic
@@ -21,7 +23,20 @@ from .sweep_job import SweepJob
 _FILE = "scene.signed"
 _SIGNATURE = 32  # bytes of the HMAC-SHA256 of the sweep and the scene, at the start
 _MOST_BYTES = 2**30  # largest accepted size of the file [bytes]
+# Former modules of stored classes, by which older stores name them.
+_MOVED = {
+    "pinred.system.elementary_joints": "pinred.system.joints",
+    "pinred.system.shape_space": "pinred.system.coordinates",
+}
 _REMEDY = "Call pinred.sweep with the scene and the same store, which computes nothing again"
+
+
+class StoredScene(pickle.Unpickler):
+    """Reader of pickles that also finds classes in the modules to which they have moved."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """Return the class or function of a name in a module, possibly a former one."""
+        return super().find_class(_MOVED.get(module, module), name)
 
 
 def write_job(folder: Path, job: SweepJob, sweep: str) -> None:
@@ -67,7 +82,7 @@ def read_job(folder: Path, sweep: str) -> SweepJob:
         )
         raise InputError(f"point: these results were read without their scene: {why}. {_REMEDY}")
     try:
-        job: SweepJob = pickle.loads(data)
+        job: SweepJob = StoredScene(BytesIO(data)).load()
     except Exception as error:  # Another version of pinred may have other classes.
         raise InputError(
             f"point: the scene in the store cannot be read: {brief(error)}. {_REMEDY}"

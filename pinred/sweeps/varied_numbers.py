@@ -19,8 +19,7 @@ from ..scene.scene import Scene
 from ..simulation.members.member_parameters import force_parameters
 from ..system.entry_labels import entry_names, label_entries
 from ..system.model_parameters import ModelParameters, kinds_near, size_of
-from ..system.system import System
-from ..system.variants import nominal
+from ..system.system import System, nominal
 
 _XYZ = ("x", "y", "z")
 # Labels of the entries of robot parameters with several entries, by kind.

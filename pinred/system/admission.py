@@ -19,10 +19,8 @@ from ..common.names import listed, quoted
 from ..lie.group import Group
 from ..lie.groups import GROUPS
 from .coupling import Coupled
-from .joints import axes_of, is_prismatic, is_shape_joint, joint_kind, motion_group
-from .massless_motions import largest_step, no_moment
-from .scaled_inertia import SingularShape
-from .singular_mass_matrix import singular_shapes
+from .joints import axes_of, is_prismatic, is_shape_joint, joint_kind, largest_step, motion_group
+from .singular_mass_matrix import SingularShape, no_moment, singular_shapes
 
 _UNIT = 1e-9  # tolerance for the unit length of an axis and the orthogonality of a rotation
 _MOST_FREEDOMS = 400

@@ -19,14 +19,13 @@ from functools import cached_property
 import numpy as np
 
 from ..common.arrays import Array
-from .coordinates import coordinate_map
+from .coordinates import ShapeSpace, coordinate_map
 from .coupling import Coupled, coupled
 from .loops.kinematics import LoopKinematics
 from .loops.loop import Constraint, Loop
 from .loops.loop_assembly import CLOSED, NEARBY, assemble, loop_angle, rate_units
 from .loops.loop_closure import singularity
 from .robot_file_contents import Coupling
-from .shape_space import ShapeSpace
 from .system import System
 
 _ROUND_OFF = 1e-12  # largest gap of a closed loop, relative to its length [1 | rad]

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from ..common.arrays import Array, FrozenArrays
 from ..common.errors import InputError, ModelError
 from ..common.names import listed, nearest, quoted
+from .coordinates import ShapeSpace, shape_space
 from .locked_joints import Tie
 from .robot_file_contents import Coupling
-from .shape_space import ShapeSpace, shape_space
 
 _SAME = 1e-9  # tolerance between a follower's locked value and the value of its coupling [rad | m]
 

@@ -38,10 +38,10 @@ from .assembly import (
     to_system,
     twists_of,
 )
+from .coordinates import PlacedJoint
 from .joints import axes_of, is_ball, is_prismatic, root_joint
 from .rebuild import PRISMATIC, REVOLUTE, joint_along
 from .robot_file_contents import Derivation
-from .shape_space import PlacedJoint
 from .system import System
 
 _SAME_MOTIONS = 1e-9  # largest part of a unit twist of one root outside the motions of the other

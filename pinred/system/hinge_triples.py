@@ -17,8 +17,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.names import listed, quoted
-from .joints import axes_of, is_prismatic, is_shape_joint, root_chain
-from .massless_motions import largest_step
+from .joints import axes_of, is_prismatic, is_shape_joint, largest_step, root_chain
 
 _MEET = 1e-9  # largest distance between axes that meet, relative to the robot's largest step
 _RIGHT_ANGLE = 1e-5  # largest cosine of a right angle, for angles such as 1.5708 in files

@@ -30,7 +30,6 @@ from ..common.waiting import Wait
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
 from ..lie.spatial_groups import SE3
-from . import catalogue
 from .body_parameters import link_inertias
 from .constant_loops import with_constant_loops
 from .coordinates import InitialState
@@ -56,30 +55,34 @@ from .loops.kinematics import loop_ends
 from .loops.loop import HEAVY_GROUND, Constraint, JointPolynomial, Loop, parse_loops
 from .loops.loop_file import LoopFile, requested_loops
 from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls, unlocked_balls
-from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
 from .passive import Spring, passive_contents
 from .read_sdf import read_sdf
 from .read_urdf import UrdfRobot, read_urdf
-from .rebuild import rebuild, without_mimics
+from .rebuild import rebuild, split_joints, without_mimics
 from .robot_description import Model
 from .robot_file_contents import Contents, Coupling, LeftOut, Origin
 from .robot_files import (
+    INSTALL_ROBOTS,
+    Visuals,
+    bundled_robots,
+    example_robot,
+    example_robots,
     is_mjcf,
+    is_mujoco,
     lines_in_messages,
+    mesh_folders,
     outermost,
     read_text,
     read_xml,
     text_in_file,
+    with_visuals,
 )
-from .split_joints import split_joints
 from .stated_limits import stated_limits
-from .system import System
+from .system import System, checked_gravity
 from .urdf_elements import mimic_couplings
 from .urdf_words import left_out_words
-from .variants import checked_gravity
-from .visuals import Visuals, mesh_folders, with_visuals
 
 if TYPE_CHECKING:
     from mujoco import MjModel, MjSpec
@@ -272,7 +275,7 @@ def _load_source(
             "carries the robot"
         )
     robot = _read(source, group, locked, folders, root)
-    bundled = catalogue.bundled_robots().get(str(source))
+    bundled = bundled_robots().get(str(source))
     balls = balls or (balls is False and bundled is not None and bundled.balls)
     if bundled is not None:
         loops = replace(loops, loops=(*bundled.loops, *loops.loops))
@@ -297,12 +300,12 @@ def _file_of(source: object) -> Path | None:
     if not isinstance(source, (str, Path)):
         return None
     name = str(source)
-    if (bundled := catalogue.bundled_robots().get(name)) is not None:
+    if (bundled := bundled_robots().get(name)) is not None:
         return bundled.path
     if is_path(name):
         return Path(source)
-    robots = catalogue.example_robots()
-    return catalogue.example_robot(name).urdf if name in robots else None
+    robots = example_robots()
+    return example_robot(name).urdf if name in robots else None
 
 
 def _report(system: System, *, strict: bool) -> None:
@@ -326,7 +329,7 @@ def _mjcf_kind(source: object) -> str:
     for kind in ("MjModel", "MjSpec"):
         if is_mujoco(source, kind):
             return kind
-    if not isinstance(source, (str, Path)) or str(source) in catalogue.bundled_robots():
+    if not isinstance(source, (str, Path)) or str(source) in bundled_robots():
         return ""
     path = Path(source)
     return "path" if is_path(str(source)) and is_file(path) and is_mjcf(read_text(path)) else ""
@@ -374,7 +377,7 @@ def _read(
         return _Robot(*plain, source.name, None, group, links=link_inertias(source))
     name = str(source)
     origin = Origin(name, locked, meshes=folders)
-    if (robot := catalogue.bundled_robots().get(name)) is not None:
+    if (robot := bundled_robots().get(name)) is not None:
         urdf = read_urdf(robot.path)
         urdf.model.gravity.linear = np.array(robot.gravity)
         group = group or group_named(robot.group)
@@ -473,7 +476,7 @@ def _load_model(
 
 def _is_sdf(source: object) -> bool:
     """Return whether a source is the path of an SDF file."""
-    if not isinstance(source, (str, Path)) or str(source) in catalogue.bundled_robots():
+    if not isinstance(source, (str, Path)) or str(source) in bundled_robots():
         return False
     return is_path(str(source)) and outermost(read_text(Path(source))) == "sdf"
 
@@ -585,15 +588,15 @@ def _example_model(name: str) -> UrdfRobot:
     Raises:
         LoadError: The name is unknown; the message has similar names.
     """
-    names = catalogue.example_robots()
+    names = example_robots()
     if name not in names:
-        near = difflib.get_close_matches(name[:200], [*catalogue.bundled_robots(), *names], n=3)
+        near = difflib.get_close_matches(name[:200], [*bundled_robots(), *names], n=3)
         hint = f"did you mean {' or '.join(near)}? " if near else ""
-        more = "" if names else f"; for solo12, talos, ur5 and others: {catalogue.INSTALL_ROBOTS}"
+        more = "" if names else f"; for solo12, talos, ur5 and others: {INSTALL_ROBOTS}"
         raise LoadError(
             f"unknown robot {quoted(name)}; {hint}`pinred robots` lists what can be loaded{more}"
         )
-    robot = catalogue.example_robot(name)
+    robot = example_robot(name)
     if robot.build is None:
         urdf = read_urdf(robot.urdf)
     else:

@@ -20,14 +20,12 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.errors import LoadError, ModelError
-from ..common.library_output import library_output
 from ..common.names import plain, plain_path
 from .loops.loop import Loop
 from .passive import Spring
-from .rebuild import NewJoint, rebuild
+from .rebuild import NewJoint, copy_losses, rebuild
 from .robot_file_contents import Coupling, LeftOut
-from .robot_files import read_xml
-from .split_joints import copy_losses
+from .robot_files import library_output, read_xml
 from .urdf_elements import (
     UNLIMITED,
     check_urdf,

@@ -3,21 +3,30 @@
 pin.buildReducedModel crashes on models without joint frames, and fails if a link and a joint
 share a name.  pin.appendModel drops gravity, armature and limits.  This module therefore uses
 neither function.
+
+Joints with several degrees of freedom are split into hinges, slides and balls when a model is
+loaded, if their motion can be carried out by these parts, one after the other.  This is exact: the
+massless bodies between the parts add no inertia.  A new type is one more entry of `JOINT_TYPES`.
+
+Pinocchio's derivatives of the mass matrix are wrong for joints whose axes vary with q within the
+joint (Universal, SphericalZYX, and composites).  These joints never reach them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..common.arrays import Array
-from ..common.errors import ModelError
-from ..common.names import quoted
-from .joints import RootChain, places_on_root
+from ..common.errors import InputError, ModelError
+from ..common.names import listed, quoted
+from .joints import RootChain, is_shape_joint, motion_group, places_on_root, root_chain
+from .locked_joints import LockValue
 from .robot_file_contents import Coupling
 
 # Prismatic joints along x, y and z, which are faster than the last one, for an arbitrary axis.
@@ -280,3 +289,335 @@ def depth_first(parents: Sequence[int]) -> list[int]:
         order.append(i)
         stack += children[i]
     return order
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A hinge, slide or ball of a joint.
+
+    Attributes:
+        suffix: Suffix of its name: the part of joint "wrist" is "wrist.suffix".  The part that
+            keeps the name of the joint has no suffix.
+        joint: Revolute, prismatic or spherical joint.
+        placement: Placement on the body of the part before.
+        ratio: Displacement per displacement of the part before, if the part follows it; else None.
+        rotated: Whether the joint's rate along the part is a component of a vector in the axes of
+            the child.  Armature and damping are constant along the part only if they are equal
+            for all such components.
+    """
+
+    suffix: str
+    joint: pin.JointModel
+    placement: pin.SE3
+    ratio: float | None = None
+    rotated: bool = False
+
+
+@dataclass(frozen=True)
+class JointType:
+    """A kind of joints, and the hinges, slides and balls of which they consist.
+
+    Attributes:
+        name: Name of the type.
+        kinds: Pinocchio's names of the joints, without "JointModel".
+        parts: Function that returns the parts of a joint, from the parent to the child.  The
+            coordinates of independent parts are, in this order, those of the joint.
+    """
+
+    name: str
+    kinds: tuple[str, ...]
+    parts: Callable[[pin.JointModel], tuple[Part, ...]]
+
+
+def part(
+    suffix: str, joint: pin.JointModel, ratio: float | None = None, *, rotated: bool = False
+) -> Part:
+    """Return a part at the origin of the part before.
+
+    Args:
+        suffix: Suffix of its name.
+        joint: Revolute, prismatic or spherical joint.
+        ratio: Displacement per displacement of the part before, or None.
+        rotated: See Part.
+    Returns:
+        The part.
+    """
+    return Part(suffix, joint, pin.SE3.Identity(), ratio, rotated)
+
+
+def _euler_angles(_: pin.JointModel) -> tuple[Part, ...]:
+    """Return yaw about z, pitch about y and roll about x."""
+    return (
+        part("yaw", pin.JointModelRZ()),
+        part("pitch", pin.JointModelRY()),
+        part("roll", pin.JointModelRX()),
+    )
+
+
+def _free(_: pin.JointModel) -> tuple[Part, ...]:
+    """Return slides along x, y and z, then a ball.
+
+    The linear velocity of Pinocchio's joint has components in the axes of the child.  The rates of
+    the slides are components in the axes of the parent.  The ball has the quaternion and the
+    angular velocity of the joint.
+    """
+    return (
+        part("x", pin.JointModelPX(), rotated=True),
+        part("y", pin.JointModelPY(), rotated=True),
+        part("z", pin.JointModelPZ(), rotated=True),
+        part("ball", pin.JointModelSpherical()),
+    )
+
+
+def _planar(_: pin.JointModel) -> tuple[Part, ...]:
+    """Return slides along x and y, then a hinge about z.
+
+    The linear velocity of Pinocchio's joint has components in the axes of the child.  The rates of
+    the slides are components in the axes of the parent.
+    """
+    return (
+        part("x", pin.JointModelPX(), rotated=True),
+        part("y", pin.JointModelPY(), rotated=True),
+        part("turn", pin.JointModelRUBZ()),
+    )
+
+
+_ALONG_AXES = {
+    "JointModelHX": (pin.JointModelRX, pin.JointModelPX),
+    "JointModelHY": (pin.JointModelRY, pin.JointModelPY),
+    "JointModelHZ": (pin.JointModelRZ, pin.JointModelPZ),
+}
+
+
+def _screw(joint: pin.JointModel) -> tuple[Part, ...]:
+    """Return a hinge, and a slide along the same axis that follows it.
+
+    The joint's value is the angle of the hinge.  The slide moves by the pitch per radian.
+    """
+    screw = joint.extract()
+    if joint.shortname() in _ALONG_AXES:
+        hinge, slide = (kind() for kind in _ALONG_AXES[joint.shortname()])
+    else:
+        hinge = pin.JointModelRevoluteUnaligned(screw.axis)
+        slide = pin.JointModelPrismaticUnaligned(screw.axis)
+    return part("", hinge), part("slide", slide, float(screw.pitch))
+
+
+def _translation(_: pin.JointModel) -> tuple[Part, ...]:
+    """Return slides along x, y and z."""
+    slides = (pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ())
+    return tuple(part(suffix, slide) for suffix, slide in zip("xyz", slides, strict=True))
+
+
+def _universal(joint: pin.JointModel) -> tuple[Part, ...]:
+    """Return two hinges, the second of which is carried by the first."""
+    universal = joint.extract()
+    hinges = (pin.JointModelRevoluteUnaligned(axis) for axis in (universal.axis1, universal.axis2))
+    return tuple(part(suffix, hinge) for suffix, hinge in zip("12", hinges, strict=True))
+
+
+JOINT_TYPES = (
+    JointType("Euler angles", ("SphericalZYX",), _euler_angles),
+    JointType("free", ("FreeFlyer",), _free),
+    JointType("planar", ("Planar",), _planar),
+    JointType("screw", ("HX", "HY", "HZ", "HelicalUnaligned"), _screw),
+    JointType("translation", ("Translation",), _translation),
+    JointType("universal", ("Universal",), _universal),
+)
+
+
+# Joint types by Pinocchio's names of their joints.
+TYPES = {kind: joint_type for joint_type in JOINT_TYPES for kind in joint_type.kinds}
+
+
+@dataclass(frozen=True, eq=False)
+class SplitModel:
+    """A model whose joints are hinges, slides and balls, except the root.
+
+    Attributes:
+        model: The model.
+        parts: Names of the parts of each joint that was split, {joint: names}.
+        couplings: Couplings of parts that follow other parts.
+        sliding: Joints whose dry friction acts along a direction of the plane in which they slide.
+    """
+
+    model: pin.Model
+    parts: Mapping[str, tuple[str, ...]]
+    couplings: tuple[Coupling, ...]
+    sliding: tuple[str, ...]
+
+    def locked(self, lock: Mapping[str, LockValue]) -> dict[str, LockValue]:
+        """Replace each joint that was split by its independent parts.
+
+        Args:
+            lock: Values of joints to lock.
+        Returns:
+            Values of joints of `model` to lock.
+        Raises:
+            InputError: A joint with several independent parts has a value other than zero.
+        """
+        followers = {coupling.follower for coupling in self.couplings}
+        values: dict[str, LockValue] = {}
+        for name, value in lock.items():
+            parts = [part for part in self.parts.get(name, (name,)) if part not in followers]
+            if len(parts) > 1 and value != 0.0:
+                raise InputError(
+                    f"lock: joint {quoted(name)} has {len(parts)} degrees of freedom and can only "
+                    f"be locked at zero; lock its parts instead: {listed(parts)}"
+                )
+            values |= dict.fromkeys(parts, value)
+        return values
+
+    def whole(self, parts: Collection[str]) -> set[str]:
+        """Return the joints, as named before the split, all of whose parts are among `parts`."""
+        return {n for n, own in self.parts.items() if {*own} <= {*parts}} | {*parts}
+
+
+def split_joints(raw: pin.Model) -> SplitModel:
+    """Split the joints behind the root into hinges, slides and balls.
+
+    Joints that move the root, and joints of unknown types, stay as they are.
+
+    Args:
+        raw: Model.
+    Returns:
+        The model with split joints; `raw` itself if there is nothing to split.
+    Raises:
+        ModelError: The armature or damping of a joint is not constant along its parts.
+    """
+    chain = root_chain(raw)
+    first = 1 if chain is None else chain.last + 1
+    joints: dict[int, list[_SplitPart]] = {}
+    for i in range(first, raw.njoints):
+        joint = raw.joints[i]
+        if not is_shape_joint(joint) and (i > 1 or motion_group(joint) is None):
+            parts = _parts_of(joint)
+            if parts is not None:
+                joints[i] = _placed(raw, i, parts)
+    if not joints:
+        return SplitModel(raw, {}, (), ())
+    for i, split in joints.items():
+        _check_rotated(raw, i, split)
+    model = rebuild(raw, replaced={i: _chain(raw, split) for i, split in joints.items()})
+    couplings = [
+        Coupling(part.name, {before.name: part.ratio}, 0.0)
+        for split in joints.values()
+        for before, part in pairwise(split)
+        if part.ratio is not None
+    ]
+    sliding = copy_losses(raw, model, joints)
+    names = {str(raw.names[i]): tuple(p.name for p in split) for i, split in joints.items()}
+    return SplitModel(model, names, tuple(couplings), sliding)
+
+
+@dataclass(frozen=True, eq=False)
+class _SplitPart(Part):
+    """A part of a joint of a model.
+
+    Attributes:
+        name: Name of the new joint.
+        q: Index of its first coordinate in q of the model; that of the next part if it follows.
+        v: Index of its rate in v of the model; that of the next part if it follows.
+    """
+
+    name: str = ""
+    q: int = 0
+    v: int = 0
+
+    @property
+    def rates(self) -> slice:
+        """Indices of its rates in v of the model."""
+        return slice(self.v, self.v + self.joint.nv)
+
+
+def _placed(raw: pin.Model, i: int, parts: Sequence[Part]) -> list[_SplitPart]:
+    """Return the parts of joint i of a model with their names and indices."""
+    name, q, v = str(raw.names[i]), raw.joints[i].idx_q, raw.joints[i].idx_v
+    placed = []
+    for part in parts:
+        full = f"{name}.{part.suffix}" if part.suffix else name
+        placed.append(_SplitPart(**vars(part), name=full, q=q, v=v))
+        if part.ratio is None:
+            q, v = q + part.joint.nq, v + part.joint.nv
+    return placed
+
+
+def _parts_of(joint: pin.JointModel) -> tuple[Part, ...] | None:
+    """Return the simple joints of a joint; None if its motion is not a product of them."""
+    name = str(joint.shortname()).removeprefix("JointModel")
+    if name in TYPES:
+        return TYPES[name].parts(joint)
+    if is_shape_joint(joint):
+        return (Part("", joint, pin.SE3.Identity()),)
+    if name != "Composite":
+        return None
+    composite, parts = joint.extract(), list[Part]()
+    places = composite.jointPlacements
+    for k, (component, place) in enumerate(zip(composite.joints, places, strict=True), start=1):
+        inner = _parts_of(component)
+        if inner is None:
+            return None
+        for j, part in enumerate(inner):
+            suffix = f"{k}.{part.suffix}" if part.suffix else str(k)
+            placement = place * part.placement if j == 0 else part.placement
+            parts.append(replace(part, suffix=suffix, placement=placement))
+    return tuple(parts)
+
+
+def _check_rotated(raw: pin.Model, i: int, parts: Sequence[_SplitPart]) -> None:
+    """Reject armature and damping that differ along axes that turn with the child."""
+    rotated = [part.v for part in parts if part.rotated]
+    for what, values in (("armature", raw.armature), ("damping", raw.damping)):
+        if rotated and not (values[rotated] == values[rotated[0]]).all():
+            raise ModelError(
+                f"joint {quoted(raw.names[i])} has {what} {values[rotated]} along axes that turn "
+                f"with its body, which is not constant along {listed([p.name for p in parts])}; "
+                "make these values equal"
+            )
+
+
+def _chain(raw: pin.Model, parts: Sequence[_SplitPart]) -> list[NewJoint]:
+    """Return the joints that replace a joint of a model, with their armature and limits."""
+    chain = []
+    for part in parts:
+        new = NewJoint(part.name, part.joint, part.placement)
+        if part.ratio is None:
+            limits = [raw.lowerPositionLimit[[part.q]], raw.upperPositionLimit[[part.q]]]
+            is_limited = part.joint.nq == 1
+            armature = raw.armature[part.rates]
+            new = replace(new, armature=armature, limits=limits if is_limited else None)
+        chain.append(new)
+    return chain
+
+
+def copy_losses(
+    raw: pin.Model, model: pin.Model, joints: Mapping[int, Sequence[_SplitPart]]
+) -> tuple[str, ...]:
+    """Copy damping and dry friction to the model whose joints are split.
+
+    Args:
+        raw: Original model.
+        model: Model with split joints.
+        joints: Parts of the joints that were split, by their index in `raw`.
+    Returns:
+        Names of the joints whose dry friction is not copied, because it does not act along parts.
+    """
+    arrays = ("damping", "upperDryFrictionLimit", "lowerDryFrictionLimit")
+    sliding: list[str] = []
+    for i in range(1, raw.njoints):
+        old, name = raw.joints[i], str(raw.names[i])
+        if i not in joints:
+            new = model.joints[model.getJointId(name)]
+            for array in arrays:
+                values = getattr(raw, array)[old.idx_v : old.idx_v + old.nv]
+                getattr(model, array)[new.idx_v : new.idx_v + new.nv] = values
+            continue
+        for part in joints[i]:
+            if part.ratio is None:
+                at = model.joints[model.getJointId(part.name)].idx_v
+                has_friction = any(getattr(raw, array)[part.rates].any() for array in arrays[1:])
+                sliding += [name] * bool(part.rotated and has_friction)
+                for array in arrays[: 1 if part.rotated else 3]:
+                    values = getattr(raw, array)[part.rates]
+                    getattr(model, array)[at : at + part.joint.nv] = values
+    return tuple(dict.fromkeys(sliding))

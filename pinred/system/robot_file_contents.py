@@ -16,7 +16,7 @@ from .force_interface import Force
 from .hinge_triples import HingeTriple
 from .locked_joints import LockedJoints, LockValue
 from .loops.loop import Constraint
-from .visuals import Visuals
+from .robot_files import Visuals
 
 LimitKind: TypeAlias = Literal["position", "rate", "effort"]
 

@@ -1,22 +1,250 @@
-"""Robot description files as text and as XML elements, and detection of MJCF files.
+"""Robot files: bundled robots, folders of meshes, shapes passed with models, and text in XML.
 
-`read_text` rejects files that are too large.  `read_xml` rejects files with too many elements, or
-elements that are nested too deeply.
+Lines that C++ libraries print on standard error while they read a file are captured.  A process has
+one standard error, so the output of other threads is captured, too.  Therefore only one thread
+captures at a time, and all other output is printed at the end of the capture.  A fork waits until
+the capture ends.
 """
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterator
+import sys
+import tempfile
+import tomllib
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import RLock
+from typing import Any
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from ..common.errors import LoadError, ModelError
+import pinocchio as pin
+
+from ..common.arrays import entries_of
+from ..common.errors import InputError, LoadError, ModelError
 from ..common.files import is_file, is_folder
-from ..common.names import plain_path, quoted, quoted_path
+from ..common.names import brief, plain_path, quoted, quoted_path
+from ..common.optional_packages import install_command
+from .loops.loop import Constraint, parse_loops
+
+EVERYTHING = re.compile(rb".+", re.DOTALL)  # matches all output, as one text
+_STDERR = 2
+_LOCK = RLock()
+os.register_at_fork(
+    before=_LOCK.acquire, after_in_parent=_LOCK.release, after_in_child=_LOCK.release
+)
+
+
+@contextmanager
+def library_output(own: re.Pattern[bytes]) -> Iterator[list[str]]:
+    """Collect the output of a C++ library on standard error.
+
+    Args:
+        own: Pattern that matches the library's output.  All other output is printed at the end
+            of the context.
+    Yields:
+        A list, to which the library's output is appended when the context ends.
+    """
+    texts: list[str] = []
+    with _LOCK:
+        if sys.stderr is not None:
+            with suppress(OSError, ValueError):  # standard error is closed
+                sys.stderr.flush()
+        try:
+            stderr = os.dup(_STDERR)
+        except OSError:  # the process has no standard error
+            yield texts
+            return
+        with tempfile.TemporaryFile() as file:
+            os.dup2(file.fileno(), _STDERR)
+            try:
+                yield texts
+            finally:
+                os.dup2(stderr, _STDERR)
+                os.close(stderr)
+                file.seek(0)
+                text = file.read()
+                texts += [m[0].decode(errors="replace").strip() for m in own.finditer(text)]
+                _print(own.sub(b"", text))
+
+
+def _print(text: bytes) -> None:
+    with suppress(OSError):
+        while text:
+            text = text[os.write(_STDERR, text) :]
+
+
+INSTALL_ROBOTS = install_command("robots")
+
+
+@dataclass(frozen=True)
+class BundledRobot:
+    """A robot that is bundled with pinred: one entry of robots/robots.toml.
+
+    Attributes:
+        name: Name of the robot.
+        path: Path of its URDF file.
+        group: Name of its symmetry group.
+        description: Description of the robot in one line.
+        gravity: Gravity in the world frame, (3,) [m/s²].
+        initial: Generic initial state, with the keys x, xdot, xi and duration.
+        balls: Whether hinges that meet at one point are merged into balls (see `load`).
+        closed_form: Results that are known in closed form.
+        source: Publication that describes the problem.
+        loops: Closed kinematic loops.
+    """
+
+    name: str
+    path: Path
+    group: str
+    description: str
+    gravity: tuple[float, float, float]
+    initial: dict[str, Any]
+    balls: bool = False
+    closed_form: str = ""
+    source: str = ""
+    loops: tuple[Constraint, ...] = ()
+
+
+@dataclass(frozen=True)
+class ExampleRobot:
+    """A robot of example-robot-data.
+
+    Attributes:
+        urdf: Path of its URDF file.
+        rotors: SRDF file with the rotor inertias, if the robot has one.
+        build: Loader of the model, if the URDF file alone is not enough; the loader reads meshes.
+    """
+
+    urdf: Path
+    rotors: Path | None
+    build: Callable[[], Any] | None
+
+
+def bundled_folder() -> Path:
+    """Return the folder of bundled robots, in the installed package or in the checkout."""
+    package = Path(__file__).parent.parent
+    installed = package / "robots"
+    return installed if installed.is_dir() else package.parent / "robots"
+
+
+def bundled_robots() -> dict[str, BundledRobot]:
+    """Return the bundled robots by name."""
+    folder = bundled_folder()
+    table = tomllib.loads((folder / "robots.toml").read_text(encoding="utf-8"))
+    robots = {}
+    for name, entry in table.items():
+        path, gravity = folder / entry.pop("file"), tuple(entry.pop("gravity"))
+        loops = parse_loops(entry.pop("loops", ()))
+        robots[name] = BundledRobot(name=name, path=path, gravity=gravity, loops=loops, **entry)
+    return robots
+
+
+def has_example_robots() -> bool:
+    """Return whether example-robot-data with its Python loaders is installed."""
+    return find_spec("example_robot_data") is not None
+
+
+def example_robots() -> tuple[str, ...]:
+    """Return the names of the robots in example-robot-data; empty if it is not installed."""
+    return tuple(sorted(_loaders())) if has_example_robots() else ()
+
+
+def example_robot(name: str) -> ExampleRobot:
+    """Return the files of a robot in example-robot-data.  Raises LoadError if it has no URDF."""
+    import example_robot_data.utils as utils
+
+    loader = _loaders()[name]
+    if not loader.urdf_filename:
+        raise LoadError(
+            f"'{name}' is only available as {loader.sdf_filename}; load this file by its path"
+        )
+
+    def path(folder: str, file: str) -> Path:
+        relative = Path(loader.path, folder, file)
+        return Path(utils.getModelPath(str(relative))) / relative
+
+    has_rotors = loader.srdf_filename and loader.has_rotor_parameters
+    return ExampleRobot(
+        urdf=path(loader.urdf_subpath, loader.urdf_filename),
+        rotors=path(loader.srdf_subpath, loader.srdf_filename) if has_rotors else None,
+        build=None if loader.__init__ is utils.RobotLoader.__init__ else loader,
+    )
+
+
+def _loaders() -> dict[str, Any]:
+    from example_robot_data.robots_loader import ROBOTS
+
+    return dict(ROBOTS)
+
+
+@dataclass(frozen=True, eq=False)
+class Visuals:
+    """Shapes for playback; treat both attributes as read-only.
+
+    Attributes:
+        model: Model whose joints and frames carry the shapes.
+        geometry: Geometry model that contains the shapes.
+    """
+
+    model: pin.Model
+    geometry: pin.GeometryModel
+
+
+def with_visuals(source: object) -> Visuals | None:
+    """Copy the model and shapes of a pin.RobotWrapper or of a pair (model, visual_model).
+
+    Returns:
+        The copies, or None for other sources.
+    Raises:
+        InputError: The pair is not valid, or its shapes belong to another model.
+    """
+    if isinstance(source, pin.RobotWrapper):
+        pair: Any = (source.model, source.visual_model)
+    elif isinstance(source, tuple):
+        pair = source
+    else:
+        return None
+    if len(pair) != 2 or not isinstance(pair[0], pin.Model):
+        raise InputError(
+            "load takes a pair (model, visual_model) of a pin.Model and a pin.GeometryModel, got "
+            f"({', '.join(type(entry).__name__ for entry in pair)})"
+        )
+    model, geometry = pair
+    if geometry is None:  # A RobotWrapper may lack shapes.
+        geometry = pin.GeometryModel()
+    if not isinstance(geometry, pin.GeometryModel):
+        raise InputError(f"visual_model must be a pin.GeometryModel, got {type(geometry).__name__}")
+    for entry in geometry.geometryObjects:
+        if entry.parentJoint >= model.njoints:
+            raise InputError(
+                f"visual_model: shape '{entry.name}' is attached to joint {entry.parentJoint}, "
+                f"which model '{model.name}' does not have"
+            )
+    return Visuals(model.copy(), geometry.copy())
+
+
+def mesh_folders(meshes: Any) -> tuple[str, ...]:
+    """Return the absolute paths of one or several folders with meshes.
+
+    Raises:
+        InputError: `meshes` is not valid, or a folder does not exist.
+    """
+    entries = entries_of((meshes,) if isinstance(meshes, (str, Path)) else meshes)
+    if entries is None or not all(isinstance(entry, (str, Path)) for entry in entries):
+        raise InputError(f"meshes must be a folder or a list of folders, got {brief(meshes)}")
+    folders = [Path(folder) for folder in entries]
+    for folder in folders:
+        if not is_folder(folder):
+            raise InputError(f"meshes: there is no folder {quoted_path(folder)}")
+    return tuple(str(folder.absolute()) for folder in folders)
+
 
 _MOST_BYTES = 256_000_000  # largest accepted size of a file [byte]
 _DEEPEST = 100  # largest depth of nested URDF elements; valid files need only a few
@@ -93,6 +321,12 @@ def read_text(path: Path) -> str:
             "remove the <!DOCTYPE> declaration"
         )
     return text
+
+
+def is_mujoco(source: object, kind: str) -> bool:
+    """Return whether an object is mujoco's MjModel or MjSpec, without importing mujoco."""
+    package = type(source).__module__.partition(".")[0]
+    return package == "mujoco" and type(source).__name__ == kind
 
 
 def is_mjcf(text: str) -> bool:

@@ -12,9 +12,8 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.memo import once
 from .robot_file_contents import LeftOut, LimitKind, StatedLimit
-from .system import System
+from .system import System, nominal
 from .urdf_elements import UNLIMITED
-from .variants import nominal
 
 POSITION, VELOCITY, EFFORT = ("joint limits", "velocity limits", "effort limits")
 

@@ -1,4 +1,7 @@
-"""System: a Pinocchio model as symmetry group (base) times shape (joints)."""
+"""System: a Pinocchio model as symmetry group (base) times shape (joints).
+
+Copies of a system can have different gravity, inertias and placements.
+"""
 
 from __future__ import annotations
 
@@ -13,35 +16,38 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..common.argument_kinds import checks_arguments
-from ..common.arrays import Array, as_floats
-from ..common.errors import InputError, ModelError, ShapeError
+from ..common.arrays import Array, as_floats, vector
+from ..common.errors import InputError, ModelError, ShapeError, UnsupportedOperationError
 from ..common.memo import once_a_thread
+from ..common.names import listed
 from ..lie.group import Group
+from .actuator import Actuator
 from .admission import admit, check_joints
 from .coordinates import (
     Configuration,
     CoordinateMap,
     InitialState,
     JointOrder,
+    ShapeSpace,
     Velocity,
     coordinate_map,
     reordered,
+    tree_space,
 )
-from .coupling import Coupled, coupled
-from .from_file import FromFile
-from .joints import tree_space
+from .coupling import Coupled, coupled, following
+from .force_interface import Force
+from .loops.loop import Constraint
 from .loops.loop_closure import close_loops
 from .loops.looped_system import Closure
 from .rebuild import depth_first
-from .robot_file_contents import Contents, Origin
-from .shape_space import ShapeSpace
+from .robot_file_contents import Contents, Coupling, Keyframe, LeftOut, Origin
 
 T = TypeVar("T")
 
 
 @checks_arguments
 @dataclass(frozen=True, eq=False)
-class System(FromFile):
+class System:
     """A multibody system with symmetry: the root joint is the group, the others the shape.
 
     Follower joints (`couplings`) are joints of the model and have entries in q and v, but they
@@ -130,6 +136,76 @@ class System(FromFile):
         if self.couplings:
             summary += "; " + ", ".join(map(str, self.couplings))
         return card(self.name, summary, table("shape", ["joint", "kind", "unit"], rows))
+
+    @property
+    def couplings(self) -> tuple[Coupling, ...]:
+        """Couplings of follower joints to their leaders, from the file."""
+        return self.contents.couplings
+
+    @property
+    def followers(self) -> tuple[str, ...]:
+        """Names of the follower joints, in the order of the couplings."""
+        return tuple(coupling.follower for coupling in self.couplings)
+
+    @property
+    def loops(self) -> tuple[Constraint, ...]:
+        """Constraints that close kinematic loops."""
+        return self.contents.loops
+
+    def refuse_loops(self, what: str, remedy: str = "") -> None:
+        """Reject closed loops where only trees are supported.
+
+        Args:
+            what: Beginning of the error message.
+            remedy: Sentence that says what to do instead; empty: remove the loops.
+        Raises:
+            UnsupportedOperationError: The robot has closed loops.
+        """
+        if self.loops:
+            names = listed([loop.name for loop in self.loops], 6)
+            raise UnsupportedOperationError(
+                f"{what}: closed loops are not supported here, and '{self.name}' has the loops "
+                f"{names}. {remedy or 'Remove them, or lock the joints between them.'}"
+            )
+
+    def refuse_follower(self, name: str, what: str) -> None:
+        """Reject a follower joint, which is not a shape coordinate.
+
+        Args:
+            name: Name of the joint.
+            what: Beginning of the error message.
+        Raises:
+            InputError: The joint is a follower.
+        """
+        if words := following(name, self.couplings):
+            raise InputError(f"{what}: {words}; use the joint that it follows")
+
+    @property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """Actions in the file that are not simulated, by kind."""
+        return self.contents.left_out
+
+    @property
+    def passive(self) -> tuple[Force, ...]:
+        """Springs, dampers and dry friction at shape joints, from the file.
+
+        The types are forces.Spring, Damper and Friction.  Springs and dampers act in scenes with
+        passive=True.  Friction acts only if the scene sets its width.
+        """
+        return self.contents.passive
+
+    @property
+    def actuators(self) -> tuple[Actuator, ...]:
+        """Actuators of the file whose forces are linear in control and state.
+
+        They act in scenes that state their controls.
+        """
+        return self.contents.actuators
+
+    @property
+    def keyframes(self) -> Mapping[str, Keyframe]:
+        """Named states in the file."""
+        return self.contents.keyframes
 
     @property
     def r(self) -> int:
@@ -411,3 +487,65 @@ def checked_system(value: object, what: str, *, loops: bool = False, remedy: str
         return value
     shown = repr(value) if isinstance(value, str) else type(value).__name__
     raise InputError(f"{what} takes a System, got {shown}; pinred.load(…) returns one")
+
+
+_HUGE = 1e100  # largest accepted gravity, because products of larger numbers overflow [m/s²]
+
+
+def nominal(system: System) -> System:
+    """Return the system as it was loaded, before any parameters were changed."""
+    loaded: System = vars(system).get("_nominal", system)
+    return loaded
+
+
+def in_gravity(system: System, gravity: Array) -> System:
+    """Return a copy of a system with different gravity, (3,) in the world frame [m/s²]."""
+    other = _copy(system)
+    for model in (other.model, other.sorted_model):
+        model.gravity.linear = gravity
+    return other
+
+
+def checked_gravity(value: ArrayLike) -> Array:
+    """Return gravity as a vector, (3,) [m/s²].  Raises ShapeError, or InputError if it is huge."""
+    gravity = vector(value, 3, "gravity")
+    if np.abs(gravity).max() > _HUGE:
+        raise InputError(f"gravity must be below {_HUGE:g} m/s², got {gravity}")
+    return gravity
+
+
+def with_numbers(
+    system: System,
+    inertias: Mapping[int, pin.Inertia],
+    placements: Mapping[int, pin.SE3] | None = None,
+    frames: Mapping[int, pin.SE3] | None = None,
+) -> System:
+    """Return a copy of a system with different inertias and placements.
+
+    Args:
+        system: System to copy.
+        inertias: New inertias of bodies, {joint of `sorted_model` that moves the body: inertia}.
+        placements: New joint placements, {joint index in `sorted_model`: placement}.
+        frames: New placements of links on their bodies, {frame index in both models: placement}.
+    """
+    other = _copy(system)
+    vars(other)["_nominal"] = nominal(system)
+    names = system.sorted_model.names
+    for model in (other.model, other.sorted_model):
+        for joint, inertia in inertias.items():
+            model.inertias[model.getJointId(names[joint])] = inertia
+        for joint, placement in (placements or {}).items():
+            model.jointPlacements[model.getJointId(names[joint])] = placement
+        for frame, placement in (frames or {}).items():
+            model.frames[frame].placement = placement
+    return other
+
+
+def _copy(system: System) -> System:
+    """Return a copy with separate models, without the work spaces of the original."""
+    other = copy(system)
+    model = sorted_model = system.model.copy()
+    if system.sorted_model is not system.model:
+        sorted_model = system.sorted_model.copy()
+    vars(other).update(model=model, sorted_model=sorted_model)
+    return other

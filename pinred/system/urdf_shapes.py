@@ -15,14 +15,12 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.errors import LoadError
-from ..common.library_output import library_output
 from ..common.names import plain_path, quoted
 from .mesh_files import Mesh, Unreadable, read_meshes
 from .read_urdf import URDFDOM, with_deep_stack
-from .robot_files import read_xml
+from .robot_files import Visuals, library_output, read_xml
 from .urdf_elements import prepare, reduced_text, replace_commas, tree_depth
 from .urdf_loops import take_closing_joints
-from .visuals import Visuals
 
 _MOST_LINKS = 2000  # Pinocchio's time for shapes is quadratic in the number of links.
 FARTHEST = 1e6  # largest accepted coordinate or size of a shape [m]

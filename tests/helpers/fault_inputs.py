@@ -20,7 +20,7 @@ import pinred
 from pinred.cli.main import main as command
 from pinred.scene.toml.reader import read_scene_file
 from pinred.simulation.recording import read_recording
-from pinred.system.catalogue import bundled_folder
+from pinred.system.robot_files import bundled_folder
 
 Rng = np.random.Generator
 

@@ -13,7 +13,7 @@ import pinred
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.lie import GROUPS
-from pinred.system.catalogue import bundled_robots, has_example_robots
+from pinred.system.robot_files import bundled_robots, has_example_robots
 
 EXAMPLES = {"solo12": 2.0, "ur5": 3.0, "talos": 0.5}
 

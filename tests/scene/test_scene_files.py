@@ -46,7 +46,7 @@ from pinred.scene.toml.keys import SCENE
 from pinred.scene.toml.method_tables import METHOD_TABLES
 from pinred.scene.toml.reader import read_scene_file
 from pinred.signals import Constant, Expression, Fourier, Hold, Linear, Spline
-from pinred.system.catalogue import has_example_robots
+from pinred.system.robot_files import has_example_robots
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -13,7 +13,7 @@ import pytest
 
 import pinred
 from pinred.simulation.recording import read_arrays, read_recording
-from pinred.system.catalogue import bundled_robots
+from pinred.system.robot_files import bundled_robots
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 import pinred
+from pinred.sweeps.stored_job import StoredScene
 
 STORED = {
     "pinred.common.default_marker": "Default",
@@ -36,15 +37,19 @@ STORED = {
     "pinred.sweeps.distributions": "Grid LogUniform Normal Uniform Values",
     "pinred.sweeps.sweep_job": "SweepJob",
     "pinred.system.ball_forces": "BallSpring",
-    "pinred.system.coordinates": "CoordinateMap InitialState",
-    "pinred.system.elementary_joints": "_named",
+    "pinred.system.coordinates": "CoordinateMap InitialState PlacedJoint ShapeSpace",
+    "pinred.system.joints": "_named",
     "pinred.system.hinge_triples": "HingeTriple",
     "pinred.system.loops.loop": "Loop",
     "pinred.system.loops.looped_system": "Closure",
     "pinred.system.passive": "Damper Friction Spring",
     "pinred.system.robot_file_contents": "Contents LeftOut Origin",
-    "pinred.system.shape_space": "PlacedJoint ShapeSpace",
     "pinred.system.system": "System",
+}
+
+FORMER = {
+    "pinred.system.elementary_joints": "_named",
+    "pinred.system.shape_space": "PlacedJoint ShapeSpace",
 }
 
 
@@ -54,6 +59,15 @@ def test_stored_class_is_found_under_its_name(module: str) -> None:
     for name in STORED[module].split():
         kind = getattr(import_module(module), name)
         assert (kind.__module__, kind.__qualname__) == (module, name)
+
+
+@pytest.mark.parametrize("module", FORMER)
+def test_stored_class_is_found_under_its_former_name(module: str) -> None:
+    """Stores of earlier versions name classes by the modules from which these have moved."""
+    for name in FORMER[module].split():
+        kind = StoredScene(BytesIO(f"c{module}\n{name}\n.".encode())).load()
+        assert (kind.__module__, kind.__qualname__) != (module, name)
+        assert name in STORED[kind.__module__].split()
 
 
 @pytest.mark.parametrize("robot", ["falling_cat", "falling_cat_ball", "elroys_beanie", "four_bar"])

@@ -9,6 +9,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +96,7 @@ def test_open_sweep_simulates_points_of_own_stores_again(
     pinred.sweep(SCENE, {"gain": [0.1, 0.2]}, outputs=["x"], store=other)
     foreign = (other / "plan" / "scene.signed").read_bytes()
     changed = content[:-1] + bytes([content[-1] ^ 1])
-    monkeypatch.setattr("pinred.sweeps.stored_job.pickle.loads", _refuse_to_execute)
+    monkeypatch.setattr("pinred.sweeps.stored_job.StoredScene", _refuse_to_execute)
     for wrong in (foreign, changed, content[:40], b""):
         file.write_bytes(wrong)
         with pytest.raises(pinred.InputError, match="written or changed by another user"):
@@ -110,8 +111,9 @@ def test_open_sweep_simulates_points_of_own_stores_again(
     assert file.read_bytes() == content
 
 
-def _refuse_to_execute(data: bytes) -> None:
-    raise AssertionError(f"{len(data)} bytes that another user may have written are unpickled")
+def _refuse_to_execute(data: BytesIO) -> None:
+    count = len(data.getvalue())
+    raise AssertionError(f"{count} bytes that another user may have written are unpickled")
 
 
 def test_open_sweep_says_that_a_scene_with_functions_is_not_stored(tmp_path: Path) -> None:

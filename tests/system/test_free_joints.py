@@ -14,7 +14,7 @@ from pinred.common.arrays import Array
 from pinred.common.errors import ModelError
 from pinred.system.passive import SLIDING, Damper, Friction, passive_contents
 from pinred.system.read_urdf import read_urdf
-from pinred.system.split_joints import split_joints
+from pinred.system.rebuild import split_joints
 
 FLOATING = {"JointModelFreeFlyer": 3, "JointModelPlanar": 2}  # number of slides of each joint
 

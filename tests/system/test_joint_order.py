@@ -22,7 +22,7 @@ from pinred.judge.reference_solution import FullState
 from pinred.lie import GROUPS
 from pinred.scene.scene_options import Engine
 from pinred.system.rebuild import depth_first
-from pinred.system.variants import in_gravity
+from pinred.system.system import in_gravity
 from pinred.views.playback.playback import playback
 from pinred.views.playback.view_options import View
 

@@ -9,7 +9,7 @@ import pytest
 
 import pinred
 from pinred.simulation.recording import read_recording
-from pinred.system.catalogue import bundled_robots
+from pinred.system.robot_files import bundled_robots
 from pinred.views.playback.drawn_bodies import drawn_bodies
 
 URDF = """<?xml version="1.0"?>

@@ -19,12 +19,12 @@ from trees import inertia, random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS
-from pinred.system import catalogue
 from pinred.system.joints import root_joint
 from pinred.system.loops.looped_system import loop_jacobian, loop_values
+from pinred.system.robot_files import bundled_robots, has_example_robots
 
 needs_robots = pytest.mark.skipif(
-    not catalogue.has_example_robots(), reason="example-robot-data is not installed"
+    not has_example_robots(), reason="example-robot-data is not installed"
 )
 EARTH = [0.0, 0.0, -9.81]
 ARM = f'<body name="arm" pos="0 0.2 0.3">{HINGE}{MASS}</body>'
@@ -52,7 +52,7 @@ ANCHORED = robot(link("w", 0), link("a"), link("b"), joint("w", "a"), joint("a",
 
 def test_bundled_robot_matches_catalogue() -> None:
     """Every bundled robot has the group, gravity and initial state of its catalogue entry."""
-    for name, entry in catalogue.bundled_robots().items():
+    for name, entry in bundled_robots().items():
         system = pinred.load(name)
         raw = pin.buildModelFromUrdf(str(entry.path))
         assert (system.name, system.group.name) == (name, entry.group)

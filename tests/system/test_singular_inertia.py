@@ -26,8 +26,13 @@ from pinred.reduction.canonical_form import CanonicalForm
 from pinred.reduction.inertia_split import lost_inertia
 from pinred.reduction.potential import Potential
 from pinred.scene.scene import Engine
-from pinred.system.massless_motions import bound_massless_twists, moves_no_mass, tree_of
-from pinred.system.singular_mass_matrix import SingularShapes, singular_shapes
+from pinred.system.singular_mass_matrix import (
+    SingularShapes,
+    bound_massless_twists,
+    moves_no_mass,
+    singular_shapes,
+    tree_of,
+)
 
 ZERO = 1e-11  # scaled inertia that counts as zero
 POINT = np.zeros((3, 3))

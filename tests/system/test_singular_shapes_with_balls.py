@@ -10,11 +10,10 @@ import pytest
 
 import pinred
 from pinred.common.arrays import Array
+from pinred.system.coordinates import tree_space
 from pinred.system.coupling import Coupled, coupled
-from pinred.system.joints import tree_space
 from pinred.system.robot_file_contents import Coupling
-from pinred.system.scaled_inertia import SingularShape
-from pinred.system.singular_mass_matrix import singular_shapes
+from pinred.system.singular_mass_matrix import SingularShape, singular_shapes
 
 ROD = np.diag([0.2, 0.2, 0.0])
 NONE = np.zeros(3)

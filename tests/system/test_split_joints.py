@@ -18,7 +18,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.equations import lagrange_poincare
 from pinred.system.passive import SLIDING, Damper, Friction
-from pinred.system.split_joints import TYPES, split_joints
+from pinred.system.rebuild import TYPES, split_joints
 
 
 def composite(*joints: pin.JointModel, rng: Rng | None = None) -> pin.JointModel:

@@ -13,7 +13,7 @@ import pytest
 
 import pinred
 from pinred.cli.main import main
-from pinred.system.catalogue import has_example_robots
+from pinred.system.robot_files import has_example_robots
 from pinred.views.playback.drawn_bodies import Bodies, drawn_bodies
 
 needs_robots = pytest.mark.skipif(

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...common.arrays import Array, FrozenArrays
-from ...system.shape_space import ShapeSpace
+from ...system.coordinates import ShapeSpace
 from ..equilibria.amended_energy import AmendedEnergy, Energies
 from ..equilibria.points import Points, tangents
 from ..equilibria.search import residuals

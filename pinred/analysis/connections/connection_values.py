@@ -18,7 +18,7 @@ from ...common.html import Rows, Summary
 from ...kernels.connection.connection_code import ConnectionCode, Curvatures
 from ...kernels.connection.connection_form import ConnectionForm
 from ...lie.group import Group
-from ...system.shape_space import ShapeSpace
+from ...system.coordinates import ShapeSpace
 from .rotation_chart import RotationChart
 
 # Least health of P_b, by whether the form is symmetric.

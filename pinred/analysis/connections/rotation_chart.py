@@ -24,7 +24,7 @@ from ...kernels.connection.connection_code import ConnectionCode
 from ...kernels.connection.connection_form import ConnectionForm, form_of
 from ...lie.rotations import TAU, conjugate, left_jacobian, quaternion_exp, quaternion_product
 from ...scene.joint_values import order_by_joint
-from ...system.shape_space import ShapeSpace
+from ...system.coordinates import ShapeSpace
 from ...system.system import System
 
 _SMALL = 4.0  # square of the angle below which Taylor series replace the closed forms [rad²]

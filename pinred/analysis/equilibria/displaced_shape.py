@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from ...system.shape_space import ShapeSpace
+from ...system.coordinates import ShapeSpace
 
 
 def displaced_shape(space: ShapeSpace, x: ca.SX, w: ca.SX) -> ca.SX:

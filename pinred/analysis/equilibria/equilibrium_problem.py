@@ -24,8 +24,8 @@ from ...forces.signals import Signal
 from ...reduction.cyclic_joints import cyclic_of
 from ...scene.scene import Scene
 from ...simulation.plan import Plan, plan_of
+from ...system.coordinates import PlacedJoint, ShapeSpace, shape_space
 from ...system.joints import axes_of
-from ...system.shape_space import PlacedJoint, ShapeSpace, shape_space
 from ...system.system import System
 from .loop_surface import LoopSurface
 from .points import Points

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from ...common.arrays import Array
 from ...reduction.tree.body_frames import bodies_of
 from ...reduction.tree.loop_constraints import constraint_values
+from ...system.coordinates import ShapeSpace
 from ...system.loops.loop_assembly import CLOSED, loop_gaps, rate_units
 from ...system.loops.looped_system import loop_kinematics
-from ...system.shape_space import ShapeSpace
 from ...system.system import System
 from .displaced_shape import displaced_shape
 

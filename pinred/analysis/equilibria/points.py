@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...lie.rotations import rotation
-from ...system.shape_space import ShapeSpace
+from ...system.coordinates import ShapeSpace
 from .loop_surface import LoopSurface
 
 Which: TypeAlias = slice | list[int] | NDArray[Any]

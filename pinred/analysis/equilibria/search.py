@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...common.arrays import Array
 from ...lie.rotations import unit
 from ...reduction.tree.second_derivatives import inertia_derivatives
-from ...system.shape_space import ShapeSpace
+from ...system.coordinates import ShapeSpace
 from .amended_energy import AmendedEnergy, Energies
 from .equilibrium_problem import Problem
 from .points import Points, Which

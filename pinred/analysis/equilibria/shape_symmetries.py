@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array, freeze
 from ...lie.rotations import quaternion_from_matrix, quaternion_product, rotation
-from ...system.joints import axes_of, tree_space
+from ...system.coordinates import tree_space
+from ...system.joints import axes_of
 from .amended_energy import AmendedEnergy
 from .equilibrium_problem import Problem
 from .points import Points, embedded, joined

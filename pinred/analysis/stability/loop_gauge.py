@@ -18,7 +18,7 @@ from ...kernels.state_layout import Layout
 from ...reduction.inertia_split import mass_matrix
 from ...reduction.tree.loop_constraints import GAUGE_RATE
 from ...simulation.sample import Sample
-from ...system.elementary_joints import BALL
+from ...system.joints import BALL
 from ...system.loops.looped_system import loop_jacobian, loop_jacobian_rate
 from ...system.system import System
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array, FrozenArrays
 from ...kernels.state_layout import Layout
-from ...system.elementary_joints import BALL
-from ...system.shape_space import ShapeSpace
+from ...system.coordinates import ShapeSpace
+from ...system.joints import BALL
 from .linearisation import Linearisation, eigen, eigenvalue_errors, norm
 from .second_variation import SecondVariation
 

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from ...common.arrays import Array
 from ...lie.group import Group
 from ...reduction.tree.scalars import as_scalars, factor_ldl, quaternion_rate, solve_spd
-from ...system.elementary_joints import HINGE, SLIDE
-from ...system.shape_space import ShapeSpace, shape_space
+from ...system.coordinates import ShapeSpace, shape_space
+from ...system.joints import HINGE, SLIDE
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,9 @@ from ...judge.distances import FullMotion
 from ...judge.reference_solution import FullState
 from ...scene.random_state import random_state
 from ...scene.scene import Scene
-from ...system.catalogue import INSTALL_ROBOTS, bundled_robots, has_example_robots
 from ...system.coordinates import InitialState
 from ...system.load import load
+from ...system.robot_files import INSTALL_ROBOTS, bundled_robots, has_example_robots
 from ...system.system import System
 
 FAMILIES = ("planar", "spatial")

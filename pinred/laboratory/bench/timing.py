@@ -14,7 +14,7 @@ from ...common.object_cache import ObjectCache
 from ...common.progress import Progress, quiet
 from ...kernels.evaluate import repeat
 from ...kernels.kernel import Kernel
-from ...system.catalogue import has_example_robots
+from ...system.robot_files import has_example_robots
 
 Tables: TypeAlias = dict[str, list[dict[str, object]]]  # name of a csv file → its rows
 Action: TypeAlias = Callable[[int], object]  # repeats its work a given number of times

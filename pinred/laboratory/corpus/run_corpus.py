@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ...common.errors import InputError
-from ...system.catalogue import bundled_robots, example_robots
+from ...system.robot_files import bundled_robots, example_robots
 from .corpus_entry import GOOD, Entry, write_entries
 from .description_files import Description, find_descriptions
 from .trial import TrialOptions

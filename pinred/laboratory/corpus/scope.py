@@ -15,11 +15,10 @@ import numpy as np
 import pinocchio as pin
 
 from ...common.errors import LoadError, MissingPackageError
-from ...common.library_output import EVERYTHING, library_output
 from ...common.optional_packages import optional_package
 from ...system.mjcf.package import mujoco_package, warnings_kept
 from ...system.read_sdf import drake_warnings
-from ...system.robot_files import read_xml
+from ...system.robot_files import EVERYTHING, library_output, read_xml
 
 _SHAPES = 4
 _REGULAR = 1e-13  # least eigenvalue of a regular mass matrix, scaled to a unit diagonal

@@ -18,13 +18,12 @@ import pinocchio as pin
 
 from ...common.arrays import Array
 from ...common.errors import LoadError, PinredError
-from ...common.library_output import EVERYTHING, library_output
 from ...reduction.inertia_split import symmetric
 from ...system.mjcf.compile import compiled
 from ...system.mjcf.package import mujoco_package, warnings_kept
 from ...system.mjcf.read import gravity_of
 from ...system.mjcf.world import robot_in
-from ...system.robot_files import read_text
+from ...system.robot_files import EVERYTHING, library_output, read_text
 from ...system.system import System
 
 STATES = 3

@@ -21,10 +21,8 @@ import pinocchio as pin
 
 from ...common.arrays import Array
 from ...common.memo import once
-from ...system.elementary_joints import BALL, HINGE, SLIDE, ElementaryJoint
-from ...system.joints import axes_of
-from ...system.system import System
-from ...system.variants import nominal
+from ...system.joints import BALL, HINGE, SLIDE, ElementaryJoint, axes_of
+from ...system.system import System, nominal
 from .scalars import Scalar, Sym, Vec, dot
 
 _SNAP = 4e-16  # round-off of the entries of a rotation matrix

@@ -15,8 +15,7 @@ import pinocchio as pin
 
 from ...common.arrays import Array
 from ...common.memo import once
-from ...system.system import System
-from ...system.variants import nominal
+from ...system.system import System, nominal
 from .body_frames import Body, bodies_of, cosine, sine
 from .scalars import Scalar, add
 

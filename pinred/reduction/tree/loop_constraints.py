@@ -39,9 +39,9 @@ import numpy as np
 import pinocchio as pin
 
 from ...common.memo import once
+from ...system.coordinates import PlacedJoint, ShapeSpace
 from ...system.loops.kinematics import LoopEnd, loop_ends, rotation_axes
 from ...system.loops.loop import JointPolynomial, Loop
-from ...system.shape_space import PlacedJoint, ShapeSpace
 from ...system.system import System
 from .all_joints import joint_rates, joint_values, on_shape
 from .articulated_sweep import Swept, step_of

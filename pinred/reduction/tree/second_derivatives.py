@@ -31,8 +31,8 @@ import pinocchio as pin
 from ...common.arrays import Array, FrozenArrays
 from ...lie.rotations import rotation
 from ...lie.spatial_groups import SE3
-from ...system.joints import axes_of, is_prismatic, tree_space
-from ...system.shape_space import ShapeSpace
+from ...system.coordinates import ShapeSpace, tree_space
+from ...system.joints import axes_of, is_prismatic
 from ...system.system import System
 
 

@@ -10,9 +10,9 @@ from typing import Any
 
 from ...common.errors import InputError, LoadError, PinredError
 from ...common.files import is_file
-from ...system.catalogue import bundled_robots
 from ...system.load import load
 from ...system.loops.loop_file import SUFFIXES
+from ...system.robot_files import bundled_robots
 from ...system.system import System
 from .csv_columns import read_text
 from .file_place import Place, one_line

@@ -29,7 +29,7 @@ from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
 from ...system.coordinates import Indices
 from ...system.state_fields import ShapeState, State
-from ...system.variants import nominal
+from ...system.system import nominal
 from ..plan import NO_DIFFERENCES, MemberParameters, Plan
 from ..reduced_flow import entry_name
 from ..sample import Sample

@@ -17,7 +17,7 @@ from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates
 from ...scene.scene import Scene
 from ...system.coordinates import Indices
-from ...system.variants import nominal
+from ...system.system import nominal
 from ..choose_method import LANES_GAIN, RADAU_GAIN, radau_gain
 from ..plan import NO_DIFFERENCES, MemberParameters, Plan, plan_of
 

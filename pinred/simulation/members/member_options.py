@@ -30,8 +30,7 @@ from ...scene.random_state import random_state
 from ...scene.scene import Scene
 from ...system.coordinates import Indices
 from ...system.model_parameters import GRAVITY, requested, size_of
-from ...system.system import System
-from ...system.variants import in_gravity, nominal
+from ...system.system import System, in_gravity, nominal
 from ..plan import MemberParameters
 from ..robot_columns import RobotColumns, with_own
 from ..simulate import as_scene

@@ -19,8 +19,7 @@ from ...common.names import listed, nearest, quoted
 from ...scene.scene import Scene
 from ...system.coordinates import Indices
 from ...system.state_fields import FIELDS, ShapeState, State, arrays_of, axis_lengths, map_arrays
-from ...system.system import System
-from ...system.variants import nominal
+from ...system.system import System, nominal
 from ..over_time import OverTime
 from ..simulate import trajectory_of
 from ..trajectory import Cost, Trajectory

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from ...common.arrays import Array
 from ...common.errors import InputError, SingularInertiaError
 from ...common.names import brief, listed, quoted
-from ..elementary_joints import HINGE, SLIDE
-from ..shape_space import ShapeSpace, shape_space
+from ..coordinates import ShapeSpace, shape_space
+from ..joints import HINGE, SLIDE
 from .loop_assembly import rate_units, scaled_jacobian
 from .looped_system import LoopedSystem, loop_jacobian, loop_jacobian_rate, loop_values
 

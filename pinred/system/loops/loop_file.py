@@ -21,8 +21,7 @@ from ...common.errors import InputError, LoadError
 from ...common.files import is_file
 from ...common.names import brief, listed, nearest, plain_path, quoted
 from ...common.optional_packages import install_command, optional_package
-from ..rebuild import NewJoint, rebuild
-from ..split_joints import copy_losses
+from ..rebuild import NewJoint, copy_losses, rebuild
 from .loop import KINDS, Constraint, Loop, parse_loops
 
 SUFFIXES = (".yaml", ".yml")

@@ -11,10 +11,9 @@ import pinocchio as pin
 
 from ...common.arrays import Array, FrozenArrays
 from ...lie.group import Group
-from ..coordinates import InitialState
+from ..coordinates import InitialState, ShapeSpace
 from ..coupling import Coupled
 from ..robot_file_contents import Keyframe
-from ..shape_space import ShapeSpace
 from .kinematics import LoopKinematics
 from .loop import Constraint
 

@@ -18,10 +18,9 @@ import numpy as np
 
 from ...common.errors import LoadError, ModelError, PinredError
 from ...common.files import is_file, is_special
-from ...common.library_output import library_output
 from ...common.names import plain_path
-from ..robot_files import read_text, without_hyphens
-from .package import is_mujoco, mujoco_package, warnings_kept
+from ..robot_files import is_mujoco, library_output, read_text, without_hyphens
+from .package import mujoco_package, warnings_kept
 
 # Lines that MuJoCo's XML reader prints itself.
 _PRINTED = re.compile(rb"^WARNING: XML contains [^\n]*\n?", re.MULTILINE)

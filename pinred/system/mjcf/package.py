@@ -17,12 +17,6 @@ def mujoco_package() -> Any:
     return optional_package("mujoco", f"MJCF is read by MuJoCo's compiler: {INSTALL}")
 
 
-def is_mujoco(source: object, kind: str) -> bool:
-    """Return whether an object is mujoco's MjModel or MjSpec, without importing mujoco."""
-    package = type(source).__module__.partition(".")[0]
-    return package == "mujoco" and type(source).__name__ == kind
-
-
 @contextmanager
 def warnings_kept() -> Iterator[list[str]]:
     """Collect MuJoCo's warnings; by default, MuJoCo writes them to a file in the current folder."""

@@ -14,16 +14,21 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.errors import LoadError, PinredError
 from ...system.assembly import take_apart
-from ...system.catalogue import bundled_robots, example_robot
 from ...system.mesh_files import Mesh
 from ...system.mjcf.compile import compiled
 from ...system.mjcf.mujoco_joints import frame
 from ...system.mjcf.world import World, robot_in
 from ...system.robot_file_contents import Derivation, Origin
-from ...system.robot_files import is_mjcf, read_text, text_in_file
+from ...system.robot_files import (
+    bundled_robots,
+    example_robot,
+    is_mjcf,
+    mesh_folders,
+    read_text,
+    text_in_file,
+)
 from ...system.system import System
 from ...system.urdf_shapes import FARTHEST, Shapes, read_shapes
-from ...system.visuals import mesh_folders
 
 # Muted colours that colour-blind people can distinguish (after Okabe and Ito).
 PALETTE = (

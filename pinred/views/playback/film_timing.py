@@ -14,8 +14,8 @@ import numpy as np
 from ...common.argument_kinds import checks_arguments
 from ...common.progress import Progress, one_by_one
 from ...simulation.simulate import simulate
-from ...system.catalogue import has_example_robots
 from ...system.load import load
+from ...system.robot_files import has_example_robots
 from .film import SIZE, take_pictures
 from .headless_browser import Browser, browser
 from .page import page

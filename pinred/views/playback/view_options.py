@@ -10,7 +10,7 @@ from typing import Any, TypedDict
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import positive
 from ...common.errors import InputError
-from ...system.visuals import mesh_folders
+from ...system.robot_files import mesh_folders
 from .viewers import PAGES
 
 FPS = 60.0  # default frames per second of playback
