@@ -42,13 +42,11 @@ def with_constant_loops(system: System, driven: Collection[str] = ()) -> System:
     """Replace loops whose closed shapes are linear in independent joints by couplings.
 
     Args:
-        system: The system.
+        system: The system, with loops.
         driven: Names of joints with motors, which lead if possible.
     Returns:
         The system with couplings; `system` itself if it has no such loop.
     """
-    if system.closure is None:
-        return system
     search = _Search(system, driven)
     couplings, kept, constant = [*system.couplings], [], []
     for loop in system.loops:

@@ -234,7 +234,7 @@ def load(
         # The file is gone, so the text itself is the origin.
         vars(system)["origin"] = Origin("", locked, root, folders, text)
     _report(system, strict=strict)
-    return with_parameters(system, {} if parameters is None else parameters)
+    return system if parameters is None else with_parameters(system, parameters)
 
 
 @Wait("reads a robot")
@@ -361,7 +361,8 @@ def _load_mujoco(
             "file"
         )
     contents = replace(contents, loops=parse_loops((*contents.loops, *loops.loops)))
-    return with_constant_loops(System(model, name=name, origin=origin, contents=contents))
+    system = System(model, name=name, origin=origin, contents=contents)
+    return with_constant_loops(system) if system.loops else system
 
 
 def _read(
@@ -471,7 +472,7 @@ def _load_model(
         model.gravity.linear = gravity
     model.name = robot.name
     system = System(model, robot.name, initial, robot.origin, contents)
-    return with_constant_loops(system, loops.driven)
+    return with_constant_loops(system, loops.driven) if system.loops else system
 
 
 def _is_sdf(source: object) -> bool:
