@@ -59,7 +59,7 @@ TASKS = (
     Task("compare", "Compare with the full simulation", ("judge.",)),
     Task("connections", "Connections, phases and gaits", (
         "analysis.connections", "analysis.frames", "analysis.full_reduction", "analysis.gaits",
-        "analysis.loop_reduction", "analysis.phases", "planning.", "reduction.",
+        "analysis.phases", "planning.", "reduction.",
     )),
     Task("impacts", "Stops, captures, releases and landings", (
         "scene.stop", "simulation.contact", "simulation.impacts", "judge.compare_chain",

@@ -1,11 +1,45 @@
 """The reduction of a system: by Pinocchio at one shape, by compiled code at many shapes.
 
-The Levi-Civita connections are computed in levi_civita.py.
+It also computes the Levi-Civita connections of the reduced metric and of left-invariant metrics.
+
+For the reduced metric M(x) on shape space, with dM[a, b, c] = ∂_c M_ab:
+
+    Γ_{d,ab} = ½ (∂_a M_db + ∂_b M_da − ∂_d M_ab),     Γ^c_ab = M⁻¹^{cd} Γ_{d,ab}
+    R_abcd = ½ (∂_b∂_c M_ad + ∂_a∂_d M_bc − ∂_a∂_c M_bd − ∂_b∂_d M_ac)
+             + Γ_{e,bc} M⁻¹^{ef} Γ_{f,ad} − Γ_{e,bd} M⁻¹^{ef} Γ_{f,ac}
+
+so that R_abcd u^a v^b u^c v^d is positive on a sphere.  Motion at zero momentum without a
+potential is a geodesic: ẍ^c = −Γ^c_ab ẋ^a ẋ^b.  By O'Neill's formula, sectional curvatures of the
+base B = Q/G are at least those of horizontal planes in Q:
+
+    R_B(u, v, u, v) = R_Q(u_h, v_h, u_h, v_h) + ¾ B(u, v)ᵀ I B(u, v).
+
+With balls, ∂_a is the derivative e_a along the frame of the shape, [e_a, e_b] = c^d_ab e_d.  By
+Koszul's formula (Γ_{c,ab} = M_cd Γ^d_ab, ∇_a e_b = Γ^c_ab e_c),
+
+    2 Γ_{c,ab} = e_a M_bc + e_b M_ac − e_c M_ab + c^d_ab M_dc − c^d_ac M_db − c^d_bc M_da,
+    R_abcd = e_c Γ_{a,db} − e_d Γ_{a,cb} − Γ_{f,ca} Γ^f_db + Γ_{f,da} Γ^f_cb − c^e_cd Γ_{a,eb},
+
+so that Γ^d_ab − Γ^d_ba = c^d_ab, and geodesics obey σ̇^c = −Γ^c_ab σ^a σ^b in the rates σ.
+
+For the left-invariant metric I on a group, in body twists:
+
+    ∇_ξ η = ½ [ξ, η] − ½ I⁻¹ (ad*_ξ I η + ad*_η I ξ),     geodesics: ξ̇ = −∇_ξ ξ = I⁻¹ ad*_ξ I ξ.
+
+Source: B. O'Neill, "The fundamental equations of a submersion", 1966; V. I. Arnold, "Mathematical
+methods of classical mechanics", appendix 2; Misner, Thorne, Wheeler, "Gravitation", 1973, ch. 14.
+
+Robots with closed loops are reduced in independent joint rates u̇ with ẋ = G u̇.
+
+The loops are functions of the shape, so symmetry and locked inertia are unchanged, and the other
+quantities are pulled back: A G, Gᵀ M G and Gᵀ B G, without further terms.  Derivatives ∂_c are
+taken along column c of G.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,20 +47,143 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..common.argument_kinds import checks_arguments
-from ..common.arrays import Array, vector, vectors
-from ..reduction.pointwise_reduction import PointwiseReduction
-from ..reduction.tree.second_derivatives import inertia_derivatives
+from ..common.arrays import Array, FrozenArrays, vector, vectors
+from ..common.errors import InputError
+from ..common.names import quoted
+from ..lie.group import Group
+from ..reduction.inertia_split import InertiaSplit
+from ..reduction.pointwise_reduction import PointwiseReduction, ReducedShape
+from ..reduction.potential import Springs
+from ..reduction.tree.second_derivatives import InertiaDerivatives, inertia_derivatives
 from ..system.coordinates import Velocity
-from .levi_civita import (
-    christoffel_symbols,
-    left_invariant_derivative,
-    reduced_metric_derivatives,
-    riemann_tensor,
-    sectional,
-)
+from ..system.loops.loop_assembly import CLOSED, describe_gap, loop_gaps
+from ..system.loops.loop_chart import loop_chart
+from ..system.system import System, checked_system
 
 if TYPE_CHECKING:
     from .connections.shape_field import ShapeField
+
+
+def christoffel_symbols(M: Array, dM: Array, c: Array | None = None) -> Array:
+    """Compute the Christoffel symbols of a metric.
+
+    Args:
+        M: Metric, (m, m).
+        dM: Derivative of the metric, (m, m, m), derivative index last.
+        c: Structure constants c^d_ab of the frame, (m, m, m), d first; None if they are zero.
+    Returns:
+        Γ^c_ab, (m, m, m), c first.
+    """
+    return _raised(M, _lowered(M, dM, c))
+
+
+def riemann_tensor(M: Array, dM: Array, d2M: Array, c: Array | None = None) -> Array:
+    """Compute the Riemann tensor with all indices down.
+
+    Args:
+        M: Metric, (m, m).
+        dM: Derivative of the metric, (m, m, m), derivative index last.
+        d2M: Second derivative of the metric, (m, m, m, m), d2M[..., a, b] = e_a e_b M.
+        c: Structure constants c^d_ab of the frame, (m, m, m), d first; None if they are zero.
+    Returns:
+        R_abcd, (m, m, m, m).
+    """
+    if c is not None:
+        return _riemann_in_frame(M, dM, d2M, c)
+    lowered = _lowered(M, dM, c)
+    R = 0.5 * (np.einsum("adbc->abcd", d2M) + np.einsum("bcad->abcd", d2M))
+    R -= 0.5 * (np.einsum("bdac->abcd", d2M) + np.einsum("acbd->abcd", d2M))
+    raised = _raised(M, lowered)
+    product = np.einsum("ebc,ead->abcd", lowered, raised)
+    return np.asarray(R + product - np.swapaxes(product, 2, 3))
+
+
+def sectional(R: Array, M: Array, u: Array, v: Array) -> float:
+    """Compute the sectional curvature of the plane of two vectors.
+
+    Args:
+        R: Riemann tensor with all indices down, (m, m, m, m).
+        M: Metric, (m, m).
+        u: First vector, (m,).
+        v: Second vector, (m,).
+    Returns:
+        The curvature.
+    Raises:
+        InputError: The vectors are parallel.
+    """
+    uu, vv, uv = u @ M @ u, v @ M @ v, u @ M @ v
+    area = uu * vv - uv**2
+    if not area > 1e-14 * uu * vv:
+        raise InputError("u and v must span a plane, but they are parallel in the reduced metric")
+    return float(np.einsum("abcd,a,b,c,d", R, u, v, u, v) / area)
+
+
+def reduced_metric_derivatives(d: InertiaDerivatives, r: int) -> tuple[Array, Array, Array]:
+    """Differentiate M = H_ss − Aᵀ H_bs, with A = I⁻¹ H_bs, twice.
+
+    Args:
+        d: Derivatives of the mass matrix at one shape.
+        r: Dimension of the group.
+    Returns:
+        M, ∂M and ∂∂M, derivative indices last.
+    """
+    H, dH, d2H = d.H[0], d.dH[0], d.d2H[0]
+    I, Hbs, dI, dHbs = H[:r, :r], H[:r, r:], dH[:r, :r], dH[:r, r:]
+    A = np.linalg.solve(I, Hbs)
+    # The matrices W = I ∂A follow from the product rule: W = ∂(IA) − ∂I A, with I A = H_bs.
+    W = dHbs - np.einsum("ijc,jb->ibc", dI, A)
+    dA = np.linalg.solve(I, W.reshape(r, -1)).reshape(W.shape)
+    dM = dH[r:, r:] - np.einsum("iac,ib->abc", dHbs, A)
+    dM -= np.einsum("ia,ibc->abc", A, W)
+    # ∂∂(H_bsᵀ I⁻¹ H_bs), A = I⁻¹ H_bs: second derivatives of H_bs and I, plus Wᵀ I⁻¹ W twice.
+    mixed = np.einsum("iacd,ib->abcd", d2H[:r, r:], A)
+    d2M = d2H[r:, r:] - mixed - np.swapaxes(mixed, 0, 1)
+    d2M += np.einsum("ia,ijcd,jb->abcd", A, d2H[:r, :r], A)
+    product = np.einsum("iac,ibd->abcd", W, dA)
+    d2M -= product + np.swapaxes(product, 2, 3)
+    return H[r:, r:] - A.T @ Hbs, dM, np.asarray(d2M)
+
+
+def left_invariant_derivative(group: Group, inertia: Array, xi: Array, eta: Array) -> Array:
+    """Compute ∇_ξ η of left-invariant fields.
+
+    Args:
+        group: The group.
+        inertia: Metric on body twists, (r, r).
+        xi: Body twist ξ, (r,).
+        eta: Body twist η, (r,).
+    Returns:
+        (r,).
+    """
+    coadjoint = group.coadjoint(xi, inertia @ eta) + group.coadjoint(eta, inertia @ xi)
+    return np.asarray(0.5 * group.bracket(xi, eta) - 0.5 * np.linalg.solve(inertia, coadjoint))
+
+
+def _riemann_in_frame(M: Array, dM: Array, d2M: Array, c: Array) -> Array:
+    """Return R_abcd in a frame with structure constants c."""
+    lowered = _lowered(M, dM, c)
+    slopes = np.stack(  # [a, d, b, c]: e_c Γ_{a,db}, linear in M and in its derivatives
+        [_lowered(dM[..., k], d2M[..., k, :], c) for k in range(len(M))], axis=-1
+    )
+    product = np.einsum("fca,fdb->abcd", lowered, _raised(M, lowered))
+    half: Array = np.einsum("adbc->abcd", slopes) - product
+    return np.asarray(half - np.swapaxes(half, 2, 3) - np.einsum("ecd,aeb->abcd", c, lowered))
+
+
+def _lowered(M: Array, dM: Array, c: Array | None) -> Array:
+    """Return the Christoffel symbols of the first kind Γ_{d,ab}, d first."""
+    by_a = np.swapaxes(dM, 1, 2)  # [d, a, b]: ∂_a M_db
+    symmetric: Array = 0.5 * (by_a + dM - np.moveaxis(dM, 2, 0))
+    if c is None:
+        return symmetric
+    brackets = np.einsum("de,eab->dab", M, c)  # ⟨e_d, [e_a, e_b]⟩
+    turned = np.einsum("bad->dab", brackets) + np.einsum("abd->dab", brackets)
+    return np.asarray(symmetric + 0.5 * (brackets - turned))
+
+
+def _raised(M: Array, lowered: Array) -> Array:
+    """Return M⁻¹^{cd} Γ_{d,ab}."""
+    return np.asarray(np.linalg.solve(M, lowered.reshape(len(M), -1))).reshape(lowered.shape)
 
 
 @dataclass(frozen=True)
@@ -288,3 +445,186 @@ class Reduction(PointwiseReduction):
         shape = self.split(x).x  # raises SingularInertiaError
         d = inertia_derivatives(self.system, shape[None])
         return reduced_metric_derivatives(d, self.system.r)
+
+
+@checks_arguments
+@dataclass(frozen=True, eq=False)
+class ClosedShape(FrozenArrays):
+    """The reduction at one closed shape of a robot with loops; arrays are read-only.
+
+    Attributes:
+        x: Shape, (nx,) [rad | m | 1].
+        independent: Labels of the independent rates, (d,).
+        G: Map from independent rates to all shape rates, ẋ = G u̇, (m, d).
+        locked_inertia: Locked inertia I, (r, r).
+        local_connection: Local connection A G, (r, d).
+        reduced_metric: Reduced metric Gᵀ M G, (d, d).
+        curvature: Curvature Gᵀ B G, (r, d, d), with [:, a, b] = B_ab.
+        com: Centre of mass in the root body's frame, (3,) [m].
+        dG: Derivative ∂G, (m, d, d), with the derivative index last.
+        dI: Derivative ∂I, (r, r, d), with the derivative index last.
+        dA: Derivative ∂(A G), (r, d, d), with the derivative index last.
+        dM: Derivative ∂(Gᵀ M G), (d, d, d), with the derivative index last.
+        tree: Reduction of the open tree at this shape, in all rates.
+    """
+
+    x: Array
+    independent: tuple[str, ...]
+    G: Array
+    locked_inertia: Array
+    local_connection: Array
+    reduced_metric: Array
+    curvature: Array
+    com: Array
+    dG: Array
+    dI: Array
+    dA: Array
+    dM: Array
+    tree: ReducedShape
+
+    @property
+    def potential(self) -> float:
+        """Potential V [J].  Raises SymmetryError if gravity breaks the symmetry."""
+        return self.tree.potential
+
+    def amended_potential(self, mu: ArrayLike) -> float:
+        """Compute the amended potential V + ½ μᵀ I⁻¹ μ.
+
+        Args:
+            mu: Body momentum, (r,) [N s | N m s].
+        Returns:
+            The amended potential [J].
+        """
+        mu = vector(mu, len(self.locked_inertia), "mu")
+        return self.potential + 0.5 * float(mu @ np.linalg.solve(self.locked_inertia, mu))
+
+
+@checks_arguments
+class LoopReduction:
+    """The reduction of a robot with closed loops, in independent joint rates.
+
+    An instance owns Pinocchio work space, so use one per thread.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        *,
+        independent: Sequence[str] | None = None,
+        springs: Springs | None = None,
+    ) -> None:
+        """Choose the independent joints.
+
+        Args:
+            system: System with closed loops.
+            independent: Names of the independent joints, as many as `System.shape_dim`.  None:
+                they are chosen where the loops were assembled.  `at` replaces them at their dead
+                points.
+            springs: Springs that are added to V(x), {joint: (stiffness [N·m/rad | N/m],
+                rest [rad | m])}.
+        Raises:
+            InputError: The system has no loops, or the independent joints are not valid.
+            SingularInertiaError: The independent joints do not determine the others.
+        """
+        self.system = checked_system(system, "LoopReduction", loops=True)
+        if not system.loops:
+            raise InputError("LoopReduction: expected a robot with loops. Use Reduction.")
+        self._chart = loop_chart(system, independent)
+        self._tree = PointwiseReduction(system.open_tree(), springs=springs)
+
+    def __repr__(self) -> str:
+        return f"LoopReduction({self.system!r}, independent={self.independent})"
+
+    @property
+    def independent(self) -> tuple[str, ...]:
+        """Labels of the independent rates, (d,)."""
+        return self._chart.names
+
+    def shape(self, u: ArrayLike) -> Array:
+        """Return the closed shape with given independent coordinates.
+
+        Args:
+            u: Independent coordinates, (d,) [rad | m].
+        Returns:
+            Shape, (nx,) [rad | m | 1], connected with the assembled shape.
+        Raises:
+            SingularInertiaError: The loops do not close there.
+            InputError: An independent rate is an axis of a ball.
+        """
+        u = vector(u, self.system.shape_dim, "u", self.independent)
+        return np.asarray(self._chart.shapes(u[None])[0])
+
+    def at(self, x: ArrayLike) -> ClosedShape:
+        """Compute all quantities at one closed shape.
+
+        At a dead point, where the independent joints do not determine the others, other independent
+        joints replace them; `ClosedShape.independent` names them.
+
+        Args:
+            x: Closed shape, (nx,) [rad | m | 1].
+        Returns:
+            The quantities.
+        Raises:
+            InputError: A loop is open at x; the message names it and its gap.
+            SingularInertiaError: The equations of the loops are dependent at x.
+        """
+        tree = self._tree.at(x)
+        self._refuse_open(tree.x)
+        chart = self._chart.regular_at(tree.x)
+        G = chart.tangent(tree.x)
+        dG = np.stack([chart.tangent_rate(tree.x, column, G) for column in G.T], axis=-1)
+        A, M = tree.local_connection, tree.reduced_metric
+        dM = np.einsum("mnp,ma,nb,pc->abc", tree.dM, G, G, G)
+        turned = np.einsum("mac,mn,nb->abc", dG, M, G)
+        return ClosedShape(
+            x=tree.x,
+            independent=chart.names,
+            G=G,
+            locked_inertia=tree.locked_inertia,
+            local_connection=A @ G,
+            reduced_metric=G.T @ M @ G,
+            curvature=np.einsum("imn,ma,nb->iab", tree.curvature, G, G),
+            com=tree.com,
+            dG=dG,
+            dI=tree.dI @ G,
+            dA=np.einsum("imp,ma,pc->iac", tree.dA, G, G) + np.einsum("im,mac->iac", A, dG),
+            dM=dM + turned + turned.transpose(1, 0, 2),
+            tree=tree,
+        )
+
+    def split(self, x: ArrayLike) -> InertiaSplit:
+        """Compute I, A G, GᵀMG, the mass matrix and the centre of mass at one closed shape.
+
+        Args:
+            x: Closed shape, (nx,) [rad | m | 1].
+        Returns:
+            The quantities without derivatives, in the rates of `independent`.
+        Raises:
+            InputError: A loop is open at x; the message names it and its gap.
+            SingularInertiaError: The independent joints do not determine the others at x.
+        """
+        tree = self._tree.split(x)
+        self._refuse_open(tree.x)
+        G = self._chart.tangent(tree.x)
+        (m, d), r = G.shape, tree.r
+        T = np.zeros((r + m, r + d))
+        T[:r, :r], T[r:, r:] = np.eye(r), G
+        return InertiaSplit(
+            x=tree.x,
+            mass_matrix=T.T @ tree.mass_matrix @ T,
+            locked_inertia=tree.locked_inertia,
+            local_connection=tree.local_connection @ G,
+            reduced_metric=G.T @ tree.reduced_metric @ G,
+            com=tree.com,
+        )
+
+    def _refuse_open(self, x: Array) -> None:
+        """Raise InputError if a loop is open at shape x (nx,)."""
+        system, closure = self.system, self.system.closure
+        assert closure is not None
+        gaps = loop_gaps(system, x, closure.length)
+        if gaps.max() > 1e3 * CLOSED:
+            raise InputError(
+                f"x: expected a closed shape of {quoted(system.name)}, but "
+                f"{describe_gap(system, gaps, closure.length)}. LoopReduction.shape returns one."
+            )

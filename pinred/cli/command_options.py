@@ -110,7 +110,7 @@ def options_in(arguments: argparse.Namespace, keys: Mapping[str, Key]) -> dict[s
 
 def add_robot(sub: argparse.ArgumentParser, text: str = ROBOT) -> None:
     """Add the robot argument and the options for loading; `text` describes the accepted values."""
-    from ..scene.load_options import LOAD
+    from ..scene.scene_options import LOAD
 
     sub.add_argument("robot", metavar="ROBOT", help=text)
     add_options(sub, {name: key for name, key in LOAD.keys.items() if key.command})
@@ -146,7 +146,7 @@ def refuse_of_robots(arguments: argparse.Namespace, source: str, *names: str) ->
 
 def system_of(arguments: argparse.Namespace) -> System:
     """Load the robot that the options of add_robot name."""
-    from ..scene.load_options import LOAD
+    from ..scene.scene_options import LOAD
     from ..system.load import load
 
     parameters = parameters_in(arguments.parameters)
@@ -291,7 +291,7 @@ def add_source(sub: argparse.ArgumentParser) -> None:
 def connection_keys() -> dict[str, Key]:
     """Return the keys of files that a robot's connection takes as options."""
     from ..planning.gait_file import GAIT_FILE
-    from ..scene.load_options import LOAD
+    from ..scene.scene_options import LOAD
 
     keys = {name: LOAD.keys[name] for name in ("group", "loops")}
     return keys | {name: GAIT_FILE.keys[name] for name in ("independent", "centre")}
@@ -310,8 +310,7 @@ def source_of(arguments: argparse.Namespace, *, gait: bool) -> GaitFile:
     """
     import numpy as np
 
-    from ..analysis.connections.connection import Connection
-    from ..analysis.connections.connection_source import rest_of
+    from ..analysis.connections.connection import Connection, rest_of
     from ..analysis.gaits.gait import Gait
     from ..common.names import joint_index
     from ..planning.gait_file import GaitFile, load_gait

@@ -1,6 +1,6 @@
 """Commands that simulate: simulate, run, compare and sweep.
 
-Their options are described in scene/scene_options.py and scene/load_options.py;
+Their options are described in scene/scene_options.py and scene/scene_options.py;
 cli/command_options.py makes arguments of them.
 """
 
@@ -83,7 +83,7 @@ def add_run_arguments(sub: argparse.ArgumentParser) -> None:
 def run_run(arguments: argparse.Namespace) -> int:
     """Run the command.  Returns 0, or 1 if a comparison does not pass."""
     if arguments.schema:
-        from ..scene.toml.keys import scene_schema
+        from ..scene.toml.documents import scene_schema
 
         print(json.dumps(scene_schema(), indent=2, ensure_ascii=False))
         return 0
@@ -235,7 +235,7 @@ _QUANTILES = (0.05, 0.5, 0.95)
 
 def add_sweep_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    from ..scene.sweep_options import SWEEP_OPTIONS
+    from ..scene.scene_options import SWEEP_OPTIONS
 
     text = "scene file (docs/scenes.md); the options replace those of its table `sweep`"
     sub.add_argument("scene", metavar="SCENE", help=text)
@@ -250,7 +250,7 @@ def add_sweep_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_sweep(arguments: argparse.Namespace) -> int:
     """Run the command.  Returns 0."""
-    from ..scene.sweep_options import SWEEP_OPTIONS
+    from ..scene.scene_options import SWEEP_OPTIONS
     from ..scene.toml.file_place import naming
     from ..scene.toml.reader import read_scene_file
     from ..simulation.simulate import as_scene

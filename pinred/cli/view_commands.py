@@ -68,8 +68,7 @@ def add_plot_arguments(sub: argparse.ArgumentParser) -> None:
 
 def _keys_of_robots() -> dict[str, Key]:
     """Return the options that apply to the simulation of a robot."""
-    from ..scene.load_options import LOAD
-    from ..scene.scene_options import SCENE_OPTIONS
+    from ..scene.scene_options import LOAD, SCENE_OPTIONS
 
     keys: dict[str, Key] = {name: SCENE_OPTIONS[name] for name in ("duration", "seed")}
     return keys | {name: LOAD.keys[name] for name in ("group", "root")}
@@ -358,7 +357,7 @@ def _compute_grid(
     """
     import numpy as np
 
-    from ..analysis.connections.connection_source import rest_of
+    from ..analysis.connections.connection import rest_of
     from ..common.arrays import vector
     from ..views.plots.motion_labels import labels_of_connection
 

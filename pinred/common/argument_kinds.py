@@ -4,28 +4,39 @@ A kind is what an annotation states: a number, text, a mapping from text to numb
 Ranges, lengths and names are checked by the callables themselves.  If a callable raises an
 exception for an argument of a wrong kind, an error that names the argument replaces it, unless the
 exception is a PinredError.
+
+Further decorators list in a signature the options that a function accepts as `**options`.
+
+Type checkers and editors use `**options: Unpack[…]`.  For `help` and `inspect.signature`, the
+decorators below derive the signature and the descriptions from the same dataclass.
+
+Texts such as "Gauss(0.01, 8)" are parsed into objects, and never executed.
 """
 
 from __future__ import annotations
 
+import ast
 import builtins
 import inspect
 import os
+import re
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from functools import wraps
+from inspect import Parameter
 from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, ForwardRef, Literal, TypeVar, Union, get_args, get_origin
+from typing import Any, ForwardRef, Literal, TypeVar, Union, get_args, get_origin, get_overloads
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import InputError, PinredError, ShapeError
-from .names import brief, plain
+from .names import brief, nearest, plain, quoted
 
 _LARGEST = int(np.finfo(float).max)
 _COMMON = frozenset({int, float, np.float64, np.int64})  # frequent types of entries of lists
@@ -453,3 +464,148 @@ _SIMPLE: dict[Any, Kind | None] = {
     Path: Kind("a path", lambda value: isinstance(value, os.PathLike)),
     _Numbers: _NUMBERS,
 }
+
+
+def build_from_text(
+    text: str, kinds: Mapping[str, type], what: str, others: str, example: str
+) -> Any:
+    """Return the object that a text describes: the name of a class, and its options.
+
+    Args:
+        text: A name with options in Python notation, or a name alone.
+        kinds: Dataclasses by name.
+        what: Kind of object, for messages.
+        others: Text that is appended to the list of names in messages.
+        example: An example of a text, for messages.
+    Returns:
+        The object.
+    Raises:
+        InputError: The text has another form, or the name or an option is unknown.
+    """
+    name, positional, named = parse_call(text, kinds, what, others, example)
+    if name not in kinds:
+        raise InputError(
+            f"unknown {what} {quoted(name)}; {nearest(name, list(kinds))}"
+            f"the {what}s are {', '.join(kinds)}{others}"
+        )
+    kind = kinds[name]
+    options = {entry.name: entry.default for entry in fields(kind)}
+    unknown = [key for key in named if key not in options]
+    if unknown or len(positional) > len(options):
+        excess = f"option {quoted(unknown[0])}" if unknown else f"{len(positional)} options"
+        raise InputError(f"{what} {name} has no {excess}; its options are {', '.join(options)}")
+    repeated = [key for key in list(options)[: len(positional)] if key in named]
+    if repeated:
+        raise InputError(f"{what} {quoted(text)} sets {repeated[0]} twice; set it once")
+    named |= dict(zip(options, positional, strict=False))
+    missing = [key for key, default in options.items() if default is MISSING and key not in named]
+    if missing:
+        options_shown = example[example.index("(") :]
+        raise InputError(f"{what} {quoted(text)} needs a {missing[0]}, as in {name}{options_shown}")
+    return kind(**named)
+
+
+def parse_call(
+    text: str, kinds: Mapping[str, type], what: str, others: str, example: str
+) -> tuple[str, list[Any], dict[str, Any]]:
+    """Parse a text NAME or NAME(1, key=2).
+
+    Args:
+        text: The text.
+        kinds: Classes by name, for messages.
+        what: Kind of object, for messages.
+        others: Text that is appended to the list of names in messages.
+        example: An example of a text, for messages.
+    Returns:
+        The name, the positional options and the named options.
+    Raises:
+        InputError: The text has another form.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # Treat syntax warnings as errors.
+            node = ast.parse(text.strip(), mode="eval").body
+        if isinstance(node, ast.Name):
+            return node.id, [], {}
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            return (
+                node.func.id,
+                [_value(argument) for argument in node.args],
+                {str(word.arg): _value(word.value) for word in node.keywords},
+            )
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
+        pass
+    raise InputError(
+        f"{what} {quoted(text)} must be a name, or a name with options such as {example}; "
+        f"the {what}s are {', '.join(kinds)}{others}"
+    )
+
+
+def _value(node: ast.expr) -> Any:
+    """Return the number or text of a syntax node; inf and nan are numbers, as in repr."""
+    if isinstance(node, ast.Name) and node.id in ("inf", "nan"):
+        return float(node.id)
+    return ast.literal_eval(node)
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def shows_fields(kind: type, **defaults: Any) -> Callable[[F], F]:
+    """Create a decorator that replaces **options in a signature by dataclass fields.
+
+    Args:
+        kind: The dataclass.  Fields without a default are not shown.
+        defaults: Defaults of the function that differ from the dataclass.
+    Returns:
+        The decorator.
+    """
+    options = []
+    for entry in fields(kind):
+        default = defaults.get(entry.name, entry.default)
+        if entry.default_factory is not MISSING:
+            default = entry.default_factory()
+        if default is not MISSING:
+            options.append(
+                Parameter(
+                    entry.name, Parameter.KEYWORD_ONLY, default=default, annotation=entry.type
+                )
+            )
+
+    def decorate(function: F) -> F:
+        _describe_options(function, kind, [option.name for option in options])
+        return _set_options(function, options)
+
+    return decorate
+
+
+def shows_overloads(function: F) -> F:
+    """Replace **options in a function's signature by the keyword arguments of its overloads."""
+    options: dict[str, Parameter] = {}
+    for overload in get_overloads(function):
+        for parameter in inspect.signature(overload).parameters.values():
+            if parameter.kind is Parameter.KEYWORD_ONLY:
+                options.setdefault(parameter.name, parameter)
+    return _set_options(function, options.values())
+
+
+def _describe_options(function: Callable[..., Any], kind: type, names: Iterable[str]) -> None:
+    """Replace the entry `options` under Args by the entries of the dataclass's Attributes."""
+    doc, attributes = function.__doc__ or "", inspect.getdoc(kind) or ""
+    entry = r"^    ((\w+): .*(?:\n {5,}.*)*)"
+    entries = {match[2]: match[1] for match in re.finditer(entry, attributes, re.MULTILINE)}
+    lines = [
+        f"        {entries[name]}".replace("\n", "\n    ") for name in names if name in entries
+    ]
+    pattern = r"^        options: .*(?:\n {9,}.*)*$"
+    if lines:
+        text = "\n".join(lines)
+        function.__doc__ = re.sub(pattern, lambda _: text, doc, count=1, flags=re.MULTILINE)
+
+
+def _set_options(function: F, options: Iterable[Parameter]) -> F:
+    """Replace **options in a function's signature with explicit keyword arguments."""
+    signature = inspect.signature(function)
+    plain = [p for p in signature.parameters.values() if p.kind is not Parameter.VAR_KEYWORD]
+    function.__signature__ = signature.replace(parameters=[*plain, *options])  # type: ignore[attr-defined]
+    return function

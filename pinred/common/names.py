@@ -1,9 +1,13 @@
-"""Formatting of names and values in messages: short, printable, and on one line."""
+"""Formatting of names and values in messages: short, printable, and on one line.
+
+A mapping of results by name has an error that lists the names.
+"""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Collection, Mapping, Sequence
+from typing import NoReturn, TypeVar
 
 from .errors import InputError
 
@@ -135,3 +139,28 @@ def joint_index(name: str, joints: Sequence[str], what: str) -> int:
         f"{what}: no shape joint {quoted(str(name))}; {nearest(str(name), joints)}"
         f"the joints are {listed(joints, _MOST_JOINTS) or 'none'}"
     )
+
+
+T = TypeVar("T")
+
+
+class NamedResults(dict[str, T]):
+    """Results by name."""
+
+    def __init__(self, kind: str, results: Mapping[str, T]) -> None:
+        """Copy results.
+
+        Args:
+            kind: What the names are names of, such as "event".
+            results: Results by name.
+        """
+        super().__init__(results)
+        self._kind = kind
+
+    def __missing__(self, name: str) -> NoReturn:
+        names = [*self]
+        known = f"the {self._kind}s are {listed(names)}" if names else f"there is no {self._kind}"
+        raise KeyError(f"no {self._kind} {quoted(str(name))}; {nearest(str(name), names)}{known}")
+
+    def __reduce__(self) -> tuple[type, tuple[str, dict[str, T]]]:
+        return type(self), (self._kind, dict(self))

@@ -33,8 +33,7 @@ from .compile_ahead import ObjectAhead, Part, begin, spare_processors
 from .compile_notice import notice_of_compiling
 from .cpu_target import cpu_target
 from .errors import CacheWarning, InputError
-from .files import sweep, temporary
-from .signing_key import TEMPORARY, fingerprint, signing_key
+from .files import TEMPORARY, fingerprint, signing_key, sweep, temporary
 from .version import __version__
 
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH

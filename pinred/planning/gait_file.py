@@ -15,9 +15,8 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector_or_zero
 from ..common.errors import InputError
 from ..scene.scene_options import BY_JOINT, SCENE_OPTIONS
-from ..scene.toml.documents import read_document, robot_in
+from ..scene.toml.documents import ROBOT, read_document, robot_in
 from ..scene.toml.file_place import naming
-from ..scene.toml.keys import ROBOT
 from ..scene.toml.parameter_tables import file_parameters, refuse_others, with_robot_parameters
 from ..scene.toml.schema import (
     ByName,

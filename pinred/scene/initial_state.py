@@ -1,21 +1,191 @@
-"""Initial states: as given by the scene options, and completed with momenta.
+"""Initial states: by name, by a seed, and completed with momenta.
 
 This module also reports suspicious angles: too large to be accurate, or perhaps in degrees.
+
+The option `seed` requests random initial states.
+
+A table {joint: value} states joint values by name, in any order.
+
+The value of a hinge or slide is a number.  The attitude of a ball is a rotation vector of three
+numbers [rad] or a quaternion (x, y, z, w); its rate is the angular velocity of the child relative
+to the parent, in the child's axes.  The same table serves Python, the command line and files.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..common.arrays import Array, FrozenArrays, is_finite
-from ..common.errors import InputError
-from ..common.names import quoted
+from ..common.arrays import Array, FrozenArrays, as_floats, is_finite, read_only
+from ..common.errors import InputError, ShapeError
+from ..common.memo import once
+from ..common.names import joint_index, quoted
+from ..lie.rotations import quaternion_exp
 from ..reduction.pointwise_reduction import PointwiseReduction
+from ..system.coordinates import InitialState, PlacedJoint
 from ..system.system import System
+
+_RATES = "xdot0"  # option whose values are rates; all other options are shapes
+
+
+def order_by_joint(value: Any, system: System, what: str) -> Any:
+    """Convert values by joint name to one array in the order of the shape.
+
+    Args:
+        value: {joint: number}, or {joint: (N,) numbers} for N members; entries of balls have a
+            last axis of three or four.  Axes of balls may be named on their own, such as
+            "neck.x".  Any value that is not a mapping is returned unchanged.
+        system: System with the joints.
+        what: Name of the option: "xdot0" for rates, any other name for shapes.
+    Returns:
+        (nx,) or (N, nx) for shapes, (m,) or (N, m) for rates; joints that are not named are at
+        rest.
+    Raises:
+        InputError: A joint does not exist or is a follower, or a quaternion is zero.
+        ShapeError: The lengths differ, or the value of a ball has a wrong number of entries.
+    """
+    if not isinstance(value, Mapping):
+        return value
+    space, of_shape = system.space, what != _RATES
+    labels = space.x_names if of_shape else space.names
+    balls = {joint.name: joint for joint in space.balls}
+    columns: dict[tuple[int, int], Array] = {}
+    for name, entry in value.items():
+        system.refuse_follower(name, what)
+        numbers = as_floats(entry, f"{what}['{name}']")
+        if name in balls:
+            columns[_place(balls[name], of_shape)] = _of_ball(numbers, balls[name], what)
+            continue
+        if name not in labels:
+            # Ball joints are valid names as well.
+            joint_index(name, [joint.name for joint in space.joints], what)
+        k = labels.index(name)
+        columns[k, k + 1] = numbers[..., None]
+    _refuse_parts(balls, columns, what)
+    leading = {column.shape[:-1] for column in columns.values()} - {()}
+    if len(leading) > 1 or any(len(shape) > 1 for shape in leading):
+        raise ShapeError(
+            f"{what} must have a number for each joint, or as many for each as there are "
+            f"members, got shapes {', '.join(map(str, sorted(leading)))}"
+        )
+    array = np.zeros((*(leading.pop() if leading else ()), len(labels)))
+    if of_shape:
+        array[:] = space.neutral
+    for (first, last), column in columns.items():
+        array[..., first:last] = column
+    return read_only(array)
+
+
+def _place(joint: PlacedJoint, of_shape: bool) -> tuple[int, int]:
+    """Return the first entry of a joint and the entry after its last."""
+    entries = joint.x if of_shape else joint.v
+    return entries.start, entries.stop
+
+
+def _of_ball(numbers: Array, joint: PlacedJoint, what: str) -> Array:
+    """Return the quaternion, (..., 4), or the rates, (..., 3), of a ball."""
+    widths: Sequence[int] = (3,) if what == _RATES else (3, 4)
+    if numbers.ndim == 0 or numbers.shape[-1] not in widths:
+        expected = "a rotation vector of 3 numbers or a quaternion (x, y, z, w)"
+        if what == _RATES:
+            expected = "an angular velocity of 3 numbers, in the axes of the child"
+        raise ShapeError(
+            f"{what}['{joint.name}'] is a ball joint: expected {expected}, got shape "
+            f"{numbers.shape}"
+        )
+    if not np.isfinite(numbers).all():
+        raise ShapeError(f"{what}['{joint.name}'] must be finite, got {numbers}")
+    if what == _RATES:
+        return numbers
+    if numbers.shape[-1] == 3:
+        return quaternion_exp(numbers)
+    length = np.linalg.norm(numbers, axis=-1, keepdims=True)
+    if not (length > 0.0).all():
+        raise InputError(
+            f"{what}['{joint.name}']: the quaternion of a ball joint must not be zero; "
+            "the joint at rest is (0, 0, 0, 1)"
+        )
+    return np.asarray(numbers / length)
+
+
+def _refuse_parts(
+    balls: Mapping[str, PlacedJoint], columns: Mapping[tuple[int, int], Array], what: str
+) -> None:
+    """Reject a table that sets the same entries twice or only some entries of a quaternion."""
+    for name, joint in balls.items():
+        whole = first, last = _place(joint, what != _RATES)
+        parts = [p for p in columns if p != whole and first <= p[0] < last]
+        if parts and (whole in columns or what != _RATES):
+            raise InputError(
+                f"{what}: set joint '{name}' as a whole, as {what}={{'{name}': …}}, not by its "
+                "entries"
+            )
+
+
+DURATION = 2.0  # duration of a scene if neither the scene nor the robot states one [s]
+
+
+@dataclass(frozen=True)
+class _Spread:
+    """Ranges of displacements from rest, (m,) each, and scales of rates (m,) and twists (r,)."""
+
+    low: Array
+    high: Array
+    rates: Array
+    twists: Array
+
+
+def random_state(system: System, seed: int) -> InitialState:
+    """Return a random state of moderate size, within the joint limits and without symmetry."""
+    spread = once(system, _Spread, lambda: _spread(system))
+    rng = np.random.default_rng(seed)
+    return InitialState(
+        x=system.space.integrate(system.space.neutral, rng.uniform(spread.low, spread.high)),
+        xdot=rng.normal(size=system.m) * spread.rates,
+        xi=rng.normal(size=system.r) * spread.twists,
+        duration=DURATION,
+    )
+
+
+def _spread(system: System) -> _Spread:
+    joints = [system.model.joints[i] for i in system.joints]
+    reach = np.array([0.1 if unit == "m" else 0.6 for unit in system.units])
+    low, high = -reach, reach.copy()
+    limits = system.model.lowerPositionLimit, system.model.upperPositionLimit
+    for k, joint in enumerate(joints):
+        least, most = (limit[joint.idx_q] for limit in limits)
+        if joint.nq == 1 and least < most:
+            middle = max(least, min(0.0, most))
+            low[k], high[k] = max(least, middle - reach[k]), min(most, middle + reach[k])
+    _narrow(system, low, high)
+    twists = np.where(np.arange(system.r) < system.group.linear, 0.1, 0.6)
+    return _Spread(*map(read_only, (low, high, reach, twists)))
+
+
+def _narrow(system: System, low: Array, high: Array) -> None:
+    """Narrow shape ranges, (m,) each, in place so that mimic joints stay within their limits."""
+    coupled, model = system.coupled, system.sorted_model
+    if coupled is None:
+        return
+    for i, placed in enumerate(system.tree.joints, start=2):
+        joint, j, b = model.joints[i], placed.v.start, coupled.offset[placed.x.start]
+        terms = coupled.terms(j)
+        if j in coupled.leads or joint.nq != 1:
+            continue
+        limits = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
+        # The other leaders of a joint that follows several stay at the middle of their ranges.
+        middle = coupled.G[j] @ (low + high) / 2.0
+        for k, ratio in terms:
+            rest = b + middle - ratio * (low[k] + high[k]) / 2.0 if len(terms) > 1 else b
+            with np.errstate(over="ignore"):  # Joints without limits have huge ones in Pinocchio.
+                least, most = sorted((limit - rest) / ratio for limit in limits)
+            if max(low[k], least) < min(high[k], most):
+                low[k], high[k] = max(low[k], least), min(high[k], most)
+
 
 _RESOLUTION = 1e-6  # largest spacing of floats at an accepted angle [rad]
 _LARGEST_SAFE = 2.0**32  # angle at which the spacing of floats is below _RESOLUTION [rad]

@@ -1,7 +1,7 @@
 """Accepted input formats of scene options, and their conversion to one internal format.
 
 Python, the command line and scene files accept the same formats (joint values: see
-joint_values.py).  An integrator is an object or text.  The motion of a joint is a
+initial_state.py).  An integrator is an object or text.  The motion of a joint is a
 Signal, a number or a formula.  Pinocchio's (q, v) may replace pose, shape and velocities.
 """
 
@@ -15,8 +15,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import build_from_text, parse_call
 from ..common.arrays import Array, vector
-from ..common.call_texts import build_from_text, parse_call
 from ..common.errors import InputError, PinredError
 from ..common.names import brief, listed, nearest, quoted
 from ..common.parameter import Parameter

@@ -15,7 +15,7 @@ from ..common.errors import InputError, ShapeError
 from ..common.names import brief, listed, one_of
 from ..forces.force import Force
 from ..system.system import System
-from .random_state import DURATION
+from .initial_state import DURATION
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel

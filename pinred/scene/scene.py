@@ -1,4 +1,7 @@
-"""Scene: an immutable description of a simulation, with validated options and initial state."""
+"""Scene: an immutable description of a simulation, with validated options and initial state.
+
+The option `parameters` states robot parameters together with force parameters.
+"""
 
 from __future__ import annotations
 
@@ -11,22 +14,31 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ..common.argument_kinds import checks_arguments
-from ..common.arrays import Array, copied, positive, read_only, vector, vector_or_zero, whole
+from ..common.arrays import (
+    Array,
+    as_floats,
+    copied,
+    positive,
+    read_only,
+    vector,
+    vector_or_zero,
+    whole,
+)
 from ..common.default_marker import is_given
 from ..common.errors import InputError
 from ..common.html import card, line, numbers, table
 from ..common.memo import recent
-from ..common.names import brief, one_of
-from ..common.parameter import Parameter, by_name
+from ..common.names import brief, listed, one_of
+from ..common.parameter import Parameter, VectorParameter, by_name, refuse_entry
 from ..forces.controller import Controller
 from ..forces.force import Force
 from ..forces.signals import Attitude, Constant
 from ..forces.signals.attitude_signal import parse_attitude
 from ..integrators.methods import DOP853_LEAST, AdaptiveGauss, ErrorControl, Method
 from ..system.coordinates import InitialState
-from ..system.model_parameters import ModelParameters
+from ..system.model_parameters import ModelParameters, joined, kinds_near, plain_value, requested
 from ..system.robot_file_contents import Keyframe
-from ..system.system import checked_system, nominal
+from ..system.system import System, checked_system, nominal
 from . import input_formats
 from .event import Event, list_events, watched_of
 from .file_forces import (
@@ -36,8 +48,7 @@ from .file_forces import (
     check_passive,
     passive_left_out,
 )
-from .initial_state import GivenStates, Start, refuse_vague, start_of
-from .joint_values import order_by_joint
+from .initial_state import GivenStates, Start, order_by_joint, random_state, refuse_vague, start_of
 from .loop_states import HeldJoints, closed_state, held_joints
 from .option_checks import (
     check_keyframe,
@@ -45,8 +56,6 @@ from .option_checks import (
     compute_report_times,
     list_forces,
 )
-from .parameters import GivenParameters, given_parameters
-from .random_state import random_state
 from .scene_options import (
     ARRAYS_OF_STATE,
     HELD,
@@ -63,6 +72,93 @@ from .stop import Bound, bounds_of, check_start, parse_stops
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
     from ..forces.formula import Watched
+
+
+@dataclass(frozen=True, eq=False)
+class GivenParameters:
+    """The option `parameters` of a scene, joined with the parameters that its system has.
+
+    Attributes:
+        values: {name: value} as stated in the option.
+        requested: Names of Parameters in forces that the option lists without values.
+        varied: The robot parameters in the option; None if there are none.
+        numbers: {name: values} of the robot parameters, as arrays.
+        system: The robot with these parameters.
+    """
+
+    values: Mapping[str, Any]
+    requested: Sequence[str]
+    varied: ModelParameters | None
+    numbers: Mapping[str, Array]
+    system: System
+
+    def checked(self, known: Mapping[str, Parameter | VectorParameter]) -> dict[str, Any]:
+        """Return all parameters as numbers and arrays.
+
+        Args:
+            known: The Parameters in forces and events, by name.
+        Returns:
+            {name: number or array}.
+        Raises:
+            InputError: a name is unknown, or belongs to both the robot and a force.
+            ShapeError: a value has the wrong shape.
+        """
+        parameters: dict[str, Any] = {}
+        for name, value in self.values.items():
+            if name in self.numbers:
+                if name in known:
+                    raise InputError(
+                        f"parameters: '{name}' is a robot parameter and also the name of a "
+                        "Parameter in forces. Rename the Parameter."
+                    )
+                parameters[name] = plain_value(self.numbers[name])
+                continue
+            self._check(name, known)
+            what, parameter = f"parameters['{name}']", known[name]
+            if isinstance(parameter, VectorParameter):
+                parameters[name] = read_only(vector(value, len(parameter), what).copy())
+                continue
+            number = np.ravel(as_floats(value, what))
+            parameters[name] = float(vector(number, 1, what)[0])
+        for name in self.requested:
+            self._check(name, known)
+        return parameters
+
+    def _check(self, name: object, known: Mapping[str, Parameter | VectorParameter]) -> None:
+        if name not in known:
+            refuse_entry(name, known, "parameters")
+            names = list(known)
+            raise InputError(
+                f"parameters: there is no {brief(name)}; {kinds_near(self.system, name, names)}; "
+                f"the Parameters in forces and signals here are {listed(names, 60) or 'none'}"
+            )
+
+
+def given_parameters(system: System, parameters: Any) -> GivenParameters:
+    """Join the option `parameters` of a scene with the parameters that its system has.
+
+    A parameter of the system keeps its value unless the option has another value.
+
+    Args:
+        system: The robot.
+        parameters: {name: value}, names, or "all" (see Scene).
+    Returns:
+        The parameters, and the robot with their values.
+    Raises:
+        InputError: a link or joint is unknown, a value is not physical, or two names set
+            the same property.
+    """
+    original, present = nominal(system), system.parameters
+    values, others = requested(original, parameters)
+    if isinstance(parameters, Mapping):
+        values = joined(present, values)
+    else:  # Names without values keep the values that the system has.
+        values |= present
+    varied = ModelParameters(original, list(values))
+    numbers = varied.checked(values)
+    return GivenParameters(
+        values, others, varied if varied.names else None, numbers, varied.system(numbers)
+    )
 
 
 TIGHTEST = 1e-14  # smallest relative tolerance; below it, round-off determines the step size

@@ -1,38 +1,95 @@
-"""Descriptions of the options of a Scene.
+"""Descriptions of all options: of a Scene, of methods, of runs, of `pinred.load` and of sweeps.
 
 A field of SceneFields holds the Python type, the default, the meaning with its unit, the value
 type in scene files, and the name on the command line.  Scene, the keys of scene files, their
 JSON Schema, the command line and docs/scenes.md are derived from it.  SceneOptions repeats the
 types, because type checkers cannot derive a TypedDict from a dataclass.
+
+The parameters of `pinred.load` and `pinred.sweep` have the names of their options.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from math import inf
 from textwrap import fill
 from typing import Any, Literal, TypeAlias, TypedDict, get_args
 
 from numpy.typing import ArrayLike
 
 from ..common.argument_kinds import checks_arguments
+from ..common.default_marker import Default
 from ..common.parameter import Parameter
 from ..forces.actuation import Control
 from ..forces.controller import Controller
 from ..forces.force import Force
 from ..forces.signals import Attitude, Signal
-from ..integrators.methods import Method
+from ..integrators.methods import METHODS, Method, options_of
+from ..integrators.methods import Option as MethodOption
 from ..integrators.methods.method import ATOL, RTOL
+from ..lie.groups import GROUPS
+from ..system.loops.loop import KINDS
 from ..system.system import System
 from .event import EVENT_TABLE, Event
+from .initial_state import DURATION
 from .option_checks import EVEN_TIMES
-from .random_state import DURATION
 from .stop import STOPS, Stop
+from .toml.file_place import Place
 from .toml.force_kinds import FORCE
-from .toml.method_tables import METHOD, METHOD_NAMES
 from .toml.parameter_tables import NamedNumbers
-from .toml.schema import ByName, Either, Flag, Key, ListOf, Node, Text, Whole
+from .toml.schema import ByName, Either, Flag, Key, ListOf, Node, Schema, Table, Tagged, Text, Whole
 from .toml.signal_tables import ACTION, NUMBER, NUMBERS, PLAN, POSITIVE, SHAPE
+
+
+def _method_table(method: type[Method]) -> Table:
+    """Return the table (keys of a scene file) for a method's options."""
+    keys = {
+        option.name: Key(
+            _option_node(option),
+            option.about,
+            required=option.required,
+            default=_default_of(option),
+        )
+        for option in options_of(method)
+    }
+    return Table(keys, method.about)
+
+
+def _option_node(option: MethodOption) -> Node:
+    if option.kind == "float":
+        return POSITIVE
+    if option.kind == "int":
+        return Whole(option.least, option.most)
+    return Text(option.among)
+
+
+def _default_of(option: MethodOption) -> str:
+    """Describe the default of an option; a tolerance defaults to a tenth of the scene's."""
+    if not isinstance(option.default, Default):
+        return "" if option.required else _in_words(option.default)
+    other = {"rtol": "atol", "atol": "rtol"}[option.name]
+    return f"a tenth of run.{option.name}, or {_in_words(option.default)} beside {other}"
+
+
+def _in_words(value: float | str) -> str:
+    if value == inf:
+        return "none"
+    return f"{value:g}".replace("e-0", "e-") if isinstance(value, float) else str(value)
+
+
+METHOD_TABLES = {
+    "auto": Table({}, "choose a method that suits the scene and its tolerance"),
+    **{name: _method_table(method) for name, method in METHODS.items()},
+}
+METHOD_NAMES = tuple(METHOD_TABLES)
+METHOD = Either(
+    (
+        Text((), "an integrator as text"),
+        Tagged("name", METHOD_TABLES, "an integrator {name = …}"),
+    )
+)
+
 
 Engine: TypeAlias = Literal["compiled", "pinocchio"]
 Level: TypeAlias = float | Parameter
@@ -293,3 +350,166 @@ def describe_fields(options: Mapping[str, Option]) -> str:
         line = f"{name}: {formats}{text}.  Default: {option.default}."
         lines.append(fill(line, 100, initial_indent=8 * " ", subsequent_indent=12 * " "))
     return "\n".join(lines)
+
+
+LOOP = Table(
+    {
+        "frame_a": Key(Text((), "a link or frame"), "link or frame", required=True),
+        "frame_b": Key(Text((), "a link or frame"), "other link or frame", required=True),
+        "kind": Key(
+            Text(KINDS),
+            "3d: the origins coincide; 6d: the frames coincide; x, y or z: the origins and this "
+            "axis coincide",
+            default="3d",
+        ),
+        "name": Key(Text((), "a name"), "name in messages", default="frame_a = frame_b"),
+        "coupled": Key(
+            Flag(),
+            "whether couplings replace the loop if its closed shapes are linear in independent "
+            "joints",
+            default="true",
+        ),
+    },
+    "a closed loop",
+)
+
+LOAD = Table(
+    {
+        "group": Key(
+            Text(tuple(GROUPS)),
+            f"symmetry group: {', '.join(GROUPS)}",
+            default="motion of the root joint",
+            command="--group G",
+        ),
+        "gravity": Key(
+            ListOf(NUMBER, 3),
+            "gravity in the world frame [m/s²]",
+            default="the robot's own",
+            command="--gravity V1,V2,…",
+        ),
+        "lock": Key(
+            Either(
+                (
+                    ListOf(Text((), "the name of a joint")),
+                    ByName(Either((NUMBER, NUMBERS))),
+                )
+            ),
+            "joints to lock at zero, or at the values stated by name [rad | m]; a ball has a "
+            "rotation vector or a quaternion (x, y, z, w)",
+            default="none",
+            command="--lock J1,J2=VALUE,…",
+        ),
+        "balls": Key(
+            Either((Flag(), ListOf(Text((), "the name of a ball or of a hinge")))),
+            "three hinges at one point to merge into a ball, by name; true: all such hinges",
+            default="false",
+            command="--balls all or B1,B2,…",
+        ),
+        "loops": Key(
+            Either((Text((), "a YAML file, or loops A=B:KIND,…"), ListOf(LOOP))),
+            "closed kinematic loops, besides those of the robot's file: tables, or a YAML file "
+            "relative to this file",
+            default="none",
+            command="--loops A=B:KIND,… or FILE.yaml",
+        ),
+        "root": Key(
+            Text((), "the name of a body"),
+            "root body of the robot, for MJCF files in which several bodies of the world move; "
+            "base link, or model, of the robot, for SDF files with several",
+            default="the only one that moves",
+            command="--root BODY",
+        ),
+        "strict": Key(
+            Flag(), "reject a robot that causes a warning", default="false", command="--strict"
+        ),
+        "meshes": Key(
+            Either((Text((), "a folder"), ListOf(Text((), "a folder")))),
+            "folders with the meshes of a URDF, or with the models that an SDF file includes; in "
+            "scene files relative to them",
+            default="folders above the robot's file",
+            command="--meshes FOLDER",
+        ),
+    },
+    "the options of pinred.load",
+)
+
+
+Sampler: TypeAlias = Literal["sobol", "latin", "random", "grid"]
+SAMPLERS: tuple[Sampler, ...] = get_args(Sampler)
+BLOCK = 16_384  # default number of points of a block
+
+
+@dataclass(frozen=True)
+class Laws(Node):
+    """A table from names of numbers to distributions; nested tables extend the names."""
+
+    types = (dict,)
+    words = 'a table {name = "Uniform(0.5, 2)" or list of numbers}'
+    name = "distributions"
+
+    def _read(self, value: Any, place: Place) -> dict[str, Any]:
+        """Return {name with dots: text or list of numbers}."""
+        laws: dict[str, Any] = {}
+        for name, entry in value.items():
+            if isinstance(entry, dict):
+                nested = self.read(entry, place / name)
+                read = {f"{name}.{end}": law for end, law in nested.items()}
+            else:
+                read = {name: _LAW.read(entry, place / name)}
+            for key, law in read.items():
+                if key in laws:
+                    (place / name).fail(f"'{key}' is stated twice")
+                laws[key] = law
+        return laws
+
+    def _schema(self, defs: dict[str, Schema]) -> Schema:
+        return {
+            "type": "object",
+            "additionalProperties": {"anyOf": [_LAW.schema(defs), self.schema(defs)]},
+        }
+
+
+_LAW = Either((Text((), 'a distribution, such as "Uniform(0.5, 2)"'), NUMBERS))
+
+
+def _of_sweep(node: Node, text: str, default: str, command: str, **more: Any) -> Option:
+    return Option(node, text, default=default, table="sweep", command=command, **more)
+
+
+SWEEP_OPTIONS: Mapping[str, Option] = {
+    "vary": Option(
+        Laws(),
+        "numbers of the scene or robot that vary, each with its distribution: Uniform(low, high), "
+        "LogUniform(low, high), Normal(mean, deviation), Grid(low, high, count), or a list",
+        required=True, table="sweep", command="--vary NAME=LAW",
+    ),
+    "points": _of_sweep(
+        Whole(1), "number of points", "the product of all lists, for the sampler grid", "--points N"
+    ),
+    "sampler": _of_sweep(
+        Text(SAMPLERS), f"sampler: {', '.join(SAMPLERS)}", "sobol, or grid without points",
+        "--sampler S",
+    ),
+    "seed": _of_sweep(Whole(), "seed of the sampler", "0", "--seed S"),
+    "outputs": _of_sweep(
+        Either((ListOf(Text()), ByName(Text()))),
+        "what to store, by name: a field at the end of the motion, such as pose or pose.θ, or at "
+        "all report times, such as pose(t); or turn, position(FRAME), peak_torque, excursion",
+        "x, xdot, pose and energy", "--outputs [NAME=]FIELD",
+    ),
+    "store": _of_sweep(
+        Text((), "the name of a .zarr folder"),
+        "zarr folder of the results; if it exists, the sweep continues",
+        "a temporary folder", "--store FOLDER",
+    ),
+    "scheduler": _of_sweep(
+        Text((), "an address such as tcp://host:8786"),
+        "address of a Dask scheduler, whose workers compute the blocks", "local threads",
+        "--scheduler ADDRESS",
+    ),
+    "block": _of_sweep(
+        Whole(1), "number of points of a block, which is stored at once", str(BLOCK), "--block N"
+    ),
+}  # fmt: skip
+# The table of a scene file.
+SWEEP = Key(Table(SWEEP_OPTIONS, "a sweep"), "numbers that `pinred sweep` varies")

@@ -1,7 +1,7 @@
 """Checkpoint files: nested values, signed with the user's key.
 
 The compiled loops trust the registers of a run, and states of controllers are pickled. Therefore
-only files with the user's own signature are used; see common/signing_key.py.
+only files with the user's own signature are used; see common/files.py.
 """
 
 from __future__ import annotations
@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from ..common.errors import InputError, OutputError
-from ..common.files import check_path, is_file, write_atomic
+from ..common.files import TEMPORARY, check_path, fingerprint, is_file, signing_key, write_atomic
 from ..common.names import quoted_path
 from ..common.packed_values import pack, unpack
-from ..common.signing_key import TEMPORARY, fingerprint, signing_key
 
 SUFFIX = ".ckpt"
 _MAGIC = b"pinred checkpoint 1\n"

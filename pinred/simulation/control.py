@@ -17,8 +17,8 @@ import numpy as np
 from ..common.arrays import Array, read_only
 from ..common.errors import InputError
 from ..common.names import brief
+from ..forces.columns import Vector
 from ..forces.force_values import BaseInSpace
-from ..forces.named_arrays import Vector
 from ..forces.switch_times import time_within
 from ..scene.scene import Scene
 from ..system.force_interface import SeenState

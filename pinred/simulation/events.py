@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays
 from ..common.errors import IntegrationError
-from ..common.named_results import NamedResults
+from ..common.names import NamedResults
 from ..forces.formula import Watched
 from ..scene.scene import Scene
 from ..system.coordinates import Indices

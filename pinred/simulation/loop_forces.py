@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array, read_only
-from ..common.named_results import NamedResults
+from ..common.names import NamedResults
 from ..reduction.inertia_split import symmetric
 from ..system.loops.kinematics import rotation_axes
 from ..system.loops.loop import Loop

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..common.argument_kinds import checks_arguments
 from ..common.optional_packages import install_command, optional_package
-from ..system.entry_labels import field_attributes
 from ..system.state_fields import (
     FIELDS,
     State,
@@ -17,6 +16,7 @@ from ..system.state_fields import (
     arrays_of,
     axis_labels,
     dimension,
+    field_attributes,
     with_base,
 )
 from ..system.system import System

@@ -10,12 +10,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-from ..common.argument_kinds import checks_arguments
+from ..common.argument_kinds import checks_arguments, shows_fields
 from ..common.errors import AccuracyWarning, InputError, SceneWarning
 from ..common.memo import is_first
 from ..common.names import brief, listed, one_of
 from ..common.progress import LongRunNotice, Progress, shown
-from ..common.signatures import shows_fields
 from ..integrators.methods import EqualSteps
 from ..scene.repeated_scene import scene_of
 from ..scene.scene import ENGINES, Engine, Scene

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, NotCopyable, ShapeError
-from ..system.entry_labels import torque_unit
-from ..system.state_fields import ShapeState, State, arrays_of, map_arrays, with_base
+from ..system.state_fields import ShapeState, State, arrays_of, map_arrays, torque_unit, with_base
 from .over_time import OverTime
 from .plan import Plan, plan_of
 

@@ -22,11 +22,17 @@ from ..common.zarr_folders import (
     replace_folder,
 )
 from ..system.body_parameters import name_in_files
-from ..system.entry_labels import column_names, field_attributes
 from ..system.locked_joints import LockValue
 from ..system.model_parameters import GRAVITY
 from ..system.robot_file_contents import Origin
-from ..system.state_fields import FIELDS, arrays_of, axis_labels, dimension
+from ..system.state_fields import (
+    FIELDS,
+    arrays_of,
+    axis_labels,
+    column_names,
+    dimension,
+    field_attributes,
+)
 from ..system.system import System, nominal
 from .impacts import ImpactTable, impact_arrays
 from .over_time import OverTime

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.argument_kinds import checks_arguments
+from ..common.argument_kinds import build_from_text, checks_arguments
 from ..common.arrays import Array, as_floats, positive, read_only, whole
-from ..common.call_texts import build_from_text
 from ..common.errors import InputError
 from ..common.names import brief, quoted
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, ShapeError
 from ..common.names import brief
-from ..scene.sweep_options import Sampler
+from ..scene.scene_options import Sampler
 from .distributions import Distribution, Listed
 
 _DRAWN = 4096  # number of random points that share a generator

@@ -1,7 +1,7 @@
 """The file of a store that contains its scene, so that single points can be simulated again.
 
 A scene is a pickle, which could execute anything.  Therefore the file has the user's signature, and
-only files with the own signature are read; see common/signing_key.py.
+only files with the own signature are read; see common/files.py.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import InputError
-from ..common.files import read_plain_file, write_atomic
+from ..common.files import TEMPORARY, fingerprint, read_plain_file, signing_key, write_atomic
 from ..common.names import brief
-from ..common.signing_key import TEMPORARY, fingerprint, signing_key
 from .sweep_job import SweepJob
 
 _FILE = "scene.signed"

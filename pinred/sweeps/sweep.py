@@ -22,7 +22,7 @@ from ..common.progress import Progress, shown
 from ..common.waiting import say
 from ..common.zarr_folders import import_zarr
 from ..scene.scene import Scene
-from ..scene.sweep_options import BLOCK, SAMPLERS, Sampler
+from ..scene.scene_options import BLOCK, SAMPLERS, Sampler
 from ..simulation.members.member_groups import members_plan
 from .distributions import Distribution, Listed, parse_distribution
 from .samplers import MOST_SOBOL, PointSequence, grid_size

@@ -16,8 +16,7 @@ from ..common.errors import InputError, ShapeError
 from ..common.names import brief, component_index, joint_index, listed, nearest, quoted
 from ..scene.scene import Scene
 from ..simulation.members.trajectories import Trajectories
-from ..system.entry_labels import entry_names, label_entries
-from ..system.state_fields import FIELDS, ShapeState, State, dimension
+from ..system.state_fields import FIELDS, ShapeState, State, dimension, entry_names, label_entries
 
 Function: TypeAlias = Callable[[Trajectories], Any]
 Outputs: TypeAlias = Mapping[str, str | Function] | Sequence[str]

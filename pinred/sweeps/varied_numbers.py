@@ -17,8 +17,8 @@ from ..common.parameter import Parameter, VectorParameter, value_in
 from ..forces.signals import Constant
 from ..scene.scene import Scene
 from ..simulation.members.member_parameters import force_parameters
-from ..system.entry_labels import entry_names, label_entries
 from ..system.model_parameters import ModelParameters, kinds_near, size_of
+from ..system.state_fields import entry_names, label_entries
 from ..system.system import System, nominal
 
 _XYZ = ("x", "y", "z")

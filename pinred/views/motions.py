@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 from ..analysis.connections.connection import Connection
-from ..common.argument_kinds import checks_arguments
+from ..common.argument_kinds import checks_arguments, shows_fields
 from ..common.errors import InputError
-from ..common.signatures import shows_fields
 from ..system.system import System
 from .motion_source import MotionSource
 from .playback.view_options import FILM_FPS, View, ViewOptions, as_view

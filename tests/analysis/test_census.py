@@ -19,7 +19,7 @@ import pinred
 from pinred.analysis.equilibria.amended_energy import AmendedEnergy
 from pinred.analysis.equilibria.distinct_points import DistinctPoints, Orbit
 from pinred.analysis.equilibria.equilibrium_problem import Problem, problem_of
-from pinred.analysis.equilibria.morse_sum import _degree, euler_characteristic
+from pinred.analysis.equilibria.find import _degree, euler_characteristic
 from pinred.analysis.equilibria.points import Points
 from pinred.analysis.equilibria.shape_symmetries import symmetries_of
 from pinred.common.arrays import Array

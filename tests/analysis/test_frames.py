@@ -12,7 +12,7 @@ from textbook import DELTA, J2, M2, D, M
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred
-from pinred.analysis.frames.optimal_frame import norm_distance
+from pinred.analysis.frames.corrected_integral import norm_distance
 from pinred.common.arrays import Array
 from pinred.kernels.connection.connection_form import form_of
 

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
 import pinred
-from pinred.analysis.connections.closed_path import ClosedPath
+from pinred.analysis.connections.loop_connection import ClosedPath
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, SingularInertiaError, UnsupportedOperationError
 from pinred.system.loops.loop import Loop

@@ -8,7 +8,7 @@ import pickle
 import pytest
 
 import pinred
-from pinred.common.named_results import NamedResults
+from pinred.common.names import NamedResults
 
 
 def test_unknown_event_error_lists_the_events_of_the_run() -> None:

@@ -20,7 +20,7 @@ import numpy as np
 
 import pinred
 from pinred.forces.kinds import Torque
-from pinred.kernels.device import integrate_on_device
+from pinred.kernels.device import device_code
 
 
 @dataclass(frozen=True)
@@ -107,8 +107,8 @@ def export(batch: Batch, folder: Path, count: int = 256) -> Path:
         raise _Exported
 
     with (
-        mock.patch.object(integrate_on_device, "opened_device"),
-        mock.patch.object(integrate_on_device, "run_on_device", store),
+        mock.patch.object(device_code, "opened_device"),
+        mock.patch.object(device_code, "run_on_device", store),
     ):
         try:
             pinred.simulate_many(device="cuda", **options)

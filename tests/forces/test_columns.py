@@ -9,10 +9,9 @@ from coupled_trees import make_case
 from trees import random_model
 
 import pinred
-from pinred.forces.columns import symbols_of, torque_column
+from pinred.forces.columns import Column, symbols_of, torque_column
 from pinred.forces.force import Terms
 from pinred.forces.force_values import Prescribed
-from pinred.forces.named_arrays import Column
 from pinred.lie import GROUPS
 
 

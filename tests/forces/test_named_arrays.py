@@ -15,8 +15,8 @@ from forced_trees import against_aba
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import Controller, PotentialEnergy, Torque, Wrench
+from pinred.forces.columns import Vector
 from pinred.forces.force import Force
-from pinred.forces.named_arrays import Vector
 from pinred.scene.scene import ENGINES, Engine
 
 CAT = pinred.load("falling_cat")

@@ -22,7 +22,7 @@ import pytest
 from pinred.common.machine_code import LLVM_LOCK, NativeCode, create_machine, load_object
 from pinred.common.memo import once_for_all
 from pinred.integrators.methods.method import Explicit
-from pinred.kernels.device import cuda_driver, integrate_on_device
+from pinred.kernels.device import cuda_driver, device_code
 from pinred.kernels.device.device_code import device_ir
 from pinred.kernels.kernel import Kernel
 
@@ -240,10 +240,10 @@ def host_driver(monkeypatch: pytest.MonkeyPatch) -> _HostDriver:
     for name in names:  # the package cuda.pathfinder may be there, and finds libdevice
         monkeypatch.setitem(sys.modules, name, ModuleType(name))
     monkeypatch.setitem(sys.modules, driver.__name__, driver)
-    for module in (cuda_driver, integrate_on_device):
+    for module in (cuda_driver, device_code):
         monkeypatch.setattr(module, "opened_device", cuda_driver._open_device)
     monkeypatch.setattr(cuda_driver, "_modules", OrderedDict())
-    monkeypatch.setattr(integrate_on_device, "ptx_of", _ir_of)
+    monkeypatch.setattr(device_code, "ptx_of", _ir_of)
     return driver
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import pinred
-from pinred.common import signing_key as signing_keys
+from pinred.common import files as signing_keys
 from pinred.common.errors import CacheWarning
 from pinred.common.object_cache import _HEADER, _MAGIC, _SIGNATURE, _VERSION, ObjectCache, cache_key
 from pinred.kernels.build import build_kernel

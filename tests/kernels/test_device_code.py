@@ -24,7 +24,7 @@ from pinred.integrators.stepping.codes import DONE, TOO_MANY
 from pinred.integrators.stepping.compiling import compiled
 from pinred.integrators.stepping.run_state import EVALUATIONS_BETWEEN_PAUSES, Runs
 from pinred.kernels.build import build_kernel
-from pinred.kernels.device import cuda_driver, device_code, integrate_on_device
+from pinred.kernels.device import cuda_driver, device_code
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.state_layout import Structure
 
@@ -140,7 +140,7 @@ def test_members_in_device_threads_equal_single_runs_bit_for_bit(
     times = ends[:, None] * np.array([0.0, 0.3, 0.7, 1.0])
     times[::2, 3] = np.inf
     method = DOP853(rtol=1e-6, max_steps=12)
-    many = integrate_on_device.integrate_on_device(method, kernel, params, y0, ends, times)
+    many = device_code.integrate_on_device(method, kernel, params, y0, ends, times)
     assert driver.launched == 1
     assert set(many.status) == {DONE, TOO_MANY}
     for k in range(66):
@@ -176,7 +176,7 @@ def test_long_member_without_parameters_ends_in_one_launch(
     kernel = build_kernel(kernel.system, Structure())
     (params,), (y0,) = _batch(kernel, 1)
     assert len(params) == 0
-    many = integrate_on_device.integrate_on_device(DOP853(), kernel, [params], [y0], 1.5, [1.5])
+    many = device_code.integrate_on_device(DOP853(), kernel, [params], [y0], 1.5, [1.5])
     assert many.evaluations[0] > EVALUATIONS_BETWEEN_PAUSES
     _check_member(DOP853(), kernel, many, 0, params, y0, 1.5)
 
@@ -226,7 +226,7 @@ def test_method_that_needs_pow_is_refused_without_libdevice(
 def test_implicit_method_is_refused(kernel: Kernel) -> None:
     """They need derivatives, which no device code computes."""
     with pytest.raises(InputError, match="method: expected DOP853 or Tsit5 on a device, got Gauss"):
-        integrate_on_device.integrate_on_device(Gauss(0.1), kernel, *_batch(kernel, 1), 1.0, [1.0])
+        device_code.integrate_on_device(Gauss(0.1), kernel, *_batch(kernel, 1), 1.0, [1.0])
 
 
 def test_errors_of_the_driver_release_its_memory(
@@ -236,7 +236,7 @@ def test_errors_of_the_driver_release_its_memory(
     driver = host_driver(monkeypatch)
     driver.limit = 15_000  # enough for the registers of the runs and the parameters
     with pytest.raises(DeviceError, match="cuMemAlloc failed: CUDA_ERROR_OUT_OF_MEMORY"):
-        integrate_on_device.integrate_on_device(DOP853(), kernel, *_batch(kernel, 40), 1.0, [1.0])
+        device_code.integrate_on_device(DOP853(), kernel, *_batch(kernel, 40), 1.0, [1.0])
     assert (driver.memory, driver.contexts) == ({}, 0)
 
 
@@ -256,7 +256,7 @@ def test_module_stays_loaded_for_the_next_run(
     monkeypatch.setattr(driver, "cuModuleLoadData", counted)
     texts = [f"{device_code.device_ir(kernel, DOP853())}\n; {k}\n".encode() for k in range(3)]
     for k, expected in ((0, 1), (1, 2), (0, 2), (2, 3), (0, 3), (1, 4)):
-        monkeypatch.setattr(integrate_on_device, "ptx_of", lambda *_, k=k: texts[k])
-        integrate_on_device.integrate_on_device(DOP853(), kernel, *_batch(kernel, 1), 0.1, [0.1])
+        monkeypatch.setattr(device_code, "ptx_of", lambda *_, k=k: texts[k])
+        device_code.integrate_on_device(DOP853(), kernel, *_batch(kernel, 1), 0.1, [0.1])
         assert len(loaded) == expected
         assert len(driver.modules) <= 2

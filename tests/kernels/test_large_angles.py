@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pinred.common.machine_code import create_machine, load_objects
-from pinred.kernels.device.large_angles import large_angles_ir
+from pinred.kernels.device.device_code import large_angles_ir
 
 _DIGITS = 400  # number of decimal digits, more than those of the largest angle and its fraction
 # The number whose quotient by π/2 is closest to an integer, of all numbers (J.-M. Muller).

@@ -12,8 +12,8 @@ import pytest
 
 from pinred.common import object_cache
 from pinred.common.errors import CacheWarning, InputError
+from pinred.common.files import fingerprint
 from pinred.common.object_cache import CacheEntry, ObjectCache, cache_key
-from pinred.common.signing_key import fingerprint
 
 KEY, OTHER = cache_key("one"), cache_key("two")
 CODE = bytes(range(256)) * 9

@@ -12,7 +12,7 @@ from trees import limbed_model
 import pinred
 from pinred.common.errors import KernelMismatch
 from pinred.forces import PD, Torque, Wrench
-from pinred.kernels import jacobian_graph as graphs
+from pinred.kernels import state_jacobian as graphs
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.kernels.state_jacobian import jacobian_code, jacobian_of

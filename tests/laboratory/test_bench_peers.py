@@ -36,7 +36,7 @@ from pinred.laboratory.bench.peers.exudyn import (
 from pinred.laboratory.bench.peers.mujoco import MujocoModel
 from pinred.laboratory.bench.solver import Solver
 from pinred.lie import GROUPS
-from pinred.scene.random_state import random_state
+from pinred.scene.initial_state import random_state
 from pinred.system.system import System
 
 needs_heyoka = pytest.mark.skipif(find_spec("heyoka") is None, reason="heyoka is not installed")

@@ -19,12 +19,10 @@ import pinred
 from pinred import InputError, LoadError
 from pinred.laboratory.corpus import trial as trials
 from pinred.laboratory.corpus import worker as workers
-from pinred.laboratory.corpus.corpus_entry import Entry
-from pinred.laboratory.corpus.description_files import Description, find_descriptions
+from pinred.laboratory.corpus.corpus_entry import Description, Entry, find_descriptions
 from pinred.laboratory.corpus.run_corpus import Corpus, corpus
-from pinred.laboratory.corpus.scope import why_not_due
 from pinred.laboratory.corpus.second_reader import differences
-from pinred.laboratory.corpus.trial import TrialOptions, run_trial
+from pinred.laboratory.corpus.trial import TrialOptions, run_trial, why_not_due
 from pinred.laboratory.corpus.worker import Worker
 from pinred.system import independent_reader
 

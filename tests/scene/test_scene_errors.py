@@ -23,9 +23,8 @@ import pinred
 from pinred.cli.main import main
 from pinred.common.errors import InputError, LoadError, ModelError, PinredError, ShapeError
 from pinred.planning.gait_file import GAIT_FILE
-from pinred.scene.toml.csv_columns import LARGEST
-from pinred.scene.toml.file_place import Place
-from pinred.scene.toml.keys import SCENE, scene_schema
+from pinred.scene.toml.documents import SCENE, scene_schema
+from pinred.scene.toml.file_place import LARGEST, Place
 from pinred.scene.toml.schema import Table
 from pinred.simulation.explain import explain
 from pinred.simulation.plan import plan_of

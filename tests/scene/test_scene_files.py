@@ -40,10 +40,9 @@ from pinred.integrators.methods import (
     Tsit5,
     Variational,
 )
-from pinred.scene.load_options import LOAD
+from pinred.scene.scene_options import LOAD, METHOD_TABLES
+from pinred.scene.toml.documents import SCENE
 from pinred.scene.toml.force_kinds import FORCES
-from pinred.scene.toml.keys import SCENE
-from pinred.scene.toml.method_tables import METHOD_TABLES
 from pinred.scene.toml.reader import read_scene_file
 from pinred.signals import Constant, Expression, Fourier, Hold, Linear, Spline
 from pinred.system.robot_files import has_example_robots

@@ -21,8 +21,8 @@ from pinred.scene.scene_options import (
     describe_fields,
     list_conflicts,
 )
+from pinred.scene.toml.documents import FILE_OPTIONS, options_in, scene_table
 from pinred.scene.toml.file_place import Place
-from pinred.scene.toml.keys import FILE_OPTIONS, options_in, scene_table
 from pinred.scene.toml.schema import document_schema
 from pinred.scene.toml.signal_tables import POSITIVE
 

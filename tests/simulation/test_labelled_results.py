@@ -12,8 +12,14 @@ import pytest
 import pinred
 from pinred.cli.main import main
 from pinred.forces import Damper, Torque, Wrench
-from pinred.system.entry_labels import column_names, entry_names, label_entries
-from pinred.system.state_fields import FIELDS, State, axis_labels
+from pinred.system.state_fields import (
+    FIELDS,
+    State,
+    axis_labels,
+    column_names,
+    entry_names,
+    label_entries,
+)
 
 ROBOTS = ("falling_cat", "coupled_planar", "rigid_body", "cartpole", "upright_drone", "four_bar")
 

@@ -22,7 +22,7 @@ from pinred.common.errors import (
 from pinred.forces.kinds import Torque
 from pinred.forces.signals.tabulated import Hold
 from pinred.integrators.methods import DOP853, Explicit, Tsit5
-from pinred.kernels.device import cuda_driver, device_code, integrate_on_device
+from pinred.kernels.device import cuda_driver, device_code
 from pinred.system.system import System
 
 
@@ -155,7 +155,7 @@ def test_missing_package_names_the_extra_before_code_is_generated(
     """The package is optional."""
     host_driver(monkeypatch)
     monkeypatch.setitem(sys.modules, "cuda.bindings.driver", None)
-    monkeypatch.setattr(integrate_on_device, "ptx_of", None)
+    monkeypatch.setattr(device_code, "ptx_of", None)
     with pytest.raises(MissingPackageError, match=r'cuda-bindings: pip install "pinred\[gpu\]"'):
         pinred.simulate_many(cat, seeds=range(2), times=[0.1], method="DOP853", device="cuda")
 

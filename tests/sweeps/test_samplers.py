@@ -12,7 +12,7 @@ from scipy.stats import qmc
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.scene.sweep_options import SAMPLERS, Sampler
+from pinred.scene.scene_options import SAMPLERS, Sampler
 from pinred.sweeps.distributions import Distribution
 from pinred.sweeps.samplers import PointSequence, grid_size
 

@@ -10,7 +10,7 @@ import pytest
 
 import pinred
 from pinred.cli.main import main
-from pinred.scene.sweep_options import SWEEP_OPTIONS
+from pinred.scene.scene_options import SWEEP_OPTIONS
 
 TEXT = """
 robot = "falling_cat"

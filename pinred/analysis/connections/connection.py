@@ -1,6 +1,8 @@
 """Connection: the linear map from shape rates to the body twist, from any kind of physics.
 
-A connection in another frame: another link as the base, or another section of the bundle.
+Arguments of analyses are a connection, or a system that stands for its mechanical connection.
+
+A connection can be stated in another frame: another link as the base, or another section.
 
 A frame with the pose h(x) ∈ G relative to the base moves with g′ = g h, so that
 
@@ -14,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -33,7 +36,7 @@ from ...system.system import System, checked_system
 from .connection_values import ConnectionValues
 from .fluid import Ellipse, Ellipsoid, Rod, fluid_form, viscous_form
 from .links import link_jacobian, link_named
-from .loop_connection import code_with_loops, refuse_moved_loops
+from .loop_connection import LoopConnectionCode, code_with_loops, refuse_moved_loops
 from .mechanical_connection import mechanical_code
 from .rotation_chart import RotationChart, chart_about
 from .wheels import Rolling, Wheel, kinematic_form
@@ -381,3 +384,61 @@ class Connection(ConnectionValues):
 
     def _moved(self, form: ConnectionForm) -> Connection:
         return replace(Connection.of(form), turned_by_gravity=self.turned_by_gravity)
+
+
+ConnectionSource: TypeAlias = Connection | System
+
+
+def connection_of(source: ConnectionSource, what: str) -> Connection:
+    """Return a connection, or the mechanical connection of a system.
+
+    Args:
+        source: The connection or the system.
+        what: Name of the function in messages.
+    Raises:
+        InputError: The source is neither.
+    """
+    if isinstance(source, System):
+        return Connection.mechanical(source)
+    if not isinstance(source, Connection):
+        raise InputError(
+            f"{what} takes a Connection, or a System for its mechanical connection; got "
+            f"{type(source).__name__}"
+        )
+    return source
+
+
+def robot_of(connection: Connection) -> System | None:
+    """Return the robot of a connection, with its loops; None if it was built without one."""
+    code = connection.code
+    return code.chart_system if isinstance(code, LoopConnectionCode) else connection.system
+
+
+def rest_of(connection: Connection) -> Array:
+    """Return the shape (m,) at rest: zero, or that at which the loops of a robot were assembled."""
+    if not isinstance(connection.code, LoopConnectionCode):
+        return np.zeros(connection.m)
+    chart = connection.code.chart
+    closure = chart.system.closure
+    assert closure is not None
+    return closure.x[chart.system.space.coordinates_of(chart.independent.tolist())]
+
+
+def system_of(source: ConnectionSource, what: str) -> System:
+    """Return a system, or the system of a mechanical connection.
+
+    Args:
+        source: The system or the connection.
+        what: Name of the function in messages.
+    Raises:
+        InputError: The source is neither, or the connection is not mechanical.
+    """
+    if not isinstance(source, Connection):
+        return source
+    system = robot_of(source)
+    if system is None or not source.is_mechanical:
+        raise InputError(
+            f"{what} simulates a robot by its mechanical connection, got {source.title()}; pass "
+            "the System"
+        )
+    return system

@@ -16,10 +16,9 @@ from ...common.errors import SingularInertiaError
 from ...system.loops.loop_chart import LoopChart
 from ..gaits.arcs import TAU
 from ..gaits.gait import Gait
-from .closed_path import ClosedPath
 from .connection import Connection
 from .gaits_of_all_joints import AllJointsCode, along_all_joints
-from .loop_connection import LoopConnectionCode
+from .loop_connection import ClosedPath, LoopConnectionCode
 
 _COARSE = 192  # number of times at which dead points are sought
 _SUSPECT = 0.15  # smallest ratio of singular values that excludes a dead point between these times

@@ -23,7 +23,7 @@ from ...forces.signals import Attitude, Fourier
 from ...kernels.connection.connection_code import ConnectionCode
 from ...kernels.connection.connection_form import ConnectionForm, form_of
 from ...lie.rotations import TAU, conjugate, left_jacobian, quaternion_exp, quaternion_product
-from ...scene.joint_values import order_by_joint
+from ...scene.initial_state import order_by_joint
 from ...system.coordinates import ShapeSpace
 from ...system.system import System
 

@@ -33,8 +33,8 @@ import numpy as np
 from ...common.arrays import Array
 from ...reduction.base_parts import root_of
 from ...reduction.tree.second_derivatives import InertiaDerivatives, inertia_derivatives
-from .displaced_shape import displaced_shape
 from .equilibrium_problem import Problem
+from .loop_surface import displaced_shape
 from .points import Points, tangents
 
 _SINGULAR = 1e13  # condition number above which a mass matrix counts as singular

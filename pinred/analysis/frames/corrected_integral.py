@@ -2,23 +2,441 @@
 
 If the group were commutative, the phase would be exp(−∬B) by Stokes' theorem. For other groups, the
 error of this approximation depends on the frame of the curvature.
+
+Minimum-perturbation coordinates: the body frame that gaits move least.
+
+In a frame h(x) the connection is A′ = Ad_{h⁻¹}A − h⁻¹∂h. With h = (R, p),
+
+    A′_ω = Rᵀ (A_ω − (∂R Rᵀ)^∨),   A′_v = Rᵀ (A_v + A_ω × p − ∂p),
+
+so the best R does not depend on p, and the best p does not depend on R. Both minimise ∫|A′|² over a
+patch among polynomials of its parameters. R solves Poisson's equation (once in the plane; in space
+repeatedly, with R ← R exp φ), and p is a linear least-squares solution. Source: R. Hatton, H.
+Choset, "Geometric motion planning: the local connection, Stokes' theorem, and the importance of
+coordinate choice", Int. J. Robotics Research 30 (2011); for SO(3), Faraji et al.
+
+On a box the least norms decrease with a power of the degree, because the derivatives of φ have
+singularities at the corners. The degree is raised until the estimated rest is small.
+
+Distance of the norms of polynomial frames from their limit, by extrapolation in the degree.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array, FrozenArrays
+from ...common.arrays import Array, FrozenArrays, as_floats, read_only, vectors
+from ...common.errors import InputError, NoConvergence
 from ...common.html import Rows, Summary
 from ...common.waiting import Wait
-from ..connections.connection_source import ConnectionSource, connection_of
+from ...lie.group import Group
+from ...lie.rotations import hat, quaternion_exp, quaternion_product, rotation
+from ..connections.connection import Connection, ConnectionSource, connection_of
 from ..gaits.gait import Gait
+from ..phases.lift import in_space
 from ..phases.phase import phase
-from .optimal_frame import OptimalFrame
-from .patches import Disc
+from .patches import Basis, Disc, Patch, box_of
+
+_ROUND_OFF = 1e-13  # changes below this part of the scale are round-off
+# Range of the power with which norms converge. On a box it tends to 8 by the singularities at the
+# corners, also if the first changes decrease faster.
+_POWERS = (1.0, 8.0)
+
+
+def norm_distance(degrees: Sequence[int], norms: Sequence[float], scale: float) -> float:
+    """Estimate the distance of a norm from its limit, relative to a scale.
+
+    Least norms decrease with the degree d like limit + C d^−q. The power q is that of the last two
+    changes. If they do not decrease, it is the least power, so that the estimate is large. The
+    distance of a norm is at most the norm itself.
+
+    Args:
+        degrees: Three increasing degrees.
+        norms: Least norms of these degrees.
+        scale: Scale of the result; if it is 0, so are the norms.
+    Returns:
+        The distance of the last norm, or inf if the degrees do not increase.
+    """
+    if not degrees[0] < degrees[1] < degrees[2]:
+        return np.inf
+    first, second = norms[0] - norms[1], norms[1] - norms[2]
+    if not scale > 0.0 or max(abs(first), abs(second)) <= _ROUND_OFF * scale:
+        return _ROUND_OFF
+    second = max(abs(second), _ROUND_OFF * scale)
+    a, b, c = np.asarray(degrees, dtype=float) / degrees[2]
+
+    def ratio(q: float) -> float:
+        """Return the first change divided by the second, which increases with q."""
+        return float((a**-q - b**-q) / (b**-q - c**-q))
+
+    low, high = _POWERS
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if ratio(middle) < first / second else (low, middle)
+    return float(min(second / (b**-low - 1.0), norms[2]) / scale)
+
+
+_DEGREES = {1: (20, 40), 2: (14, 30), 3: (6, 8)}  # first and last degree by number of parameters
+# Difference of successive degrees; if it is even, symmetric patches change the norm at each step.
+_STEPS = {1: 4, 2: 4, 3: 2}
+_LEAST_NORM = 1e-2  # norms below this part of the norm of A count as this part
+_GOAL = 1e-6  # estimated distance at which the degree is not raised further
+_MORE_NODES = 6  # quadrature nodes per parameter beyond the polynomial degree
+_ITERATIONS = 60  # largest number of iterations of the attitude R
+_STILL = 1e-10  # relative change of ∫|A′_ω|² at which the iteration stops
+
+
+@checks_arguments
+@dataclass(frozen=True, eq=False)
+class OptimalFrame:
+    """The frame h(x) on the body that minimises ∫|A′|² over a patch of shape space.
+
+    Attributes:
+        connection: Connection in the base frame.
+        patch: Patch of shape space.
+        angular: Root mean square of the rotations of A′ over the patch [rad per parameter]; the
+            parameters range over ±1.
+        linear: Root mean square of the translations of A′ [m per parameter].
+        angular_before: Root mean square of the rotations of A, in the same unit.
+        linear_before: Root mean square of the translations of A, in the same unit.
+        iterations: Number of iterations of the attitude R.
+        degree: Degree of the polynomials.
+        distance: Estimated distance of the norms `angular` and `linear` from those of the best
+            frame of any degree, relative to these norms or to a hundredth of those of A. It is
+            extrapolated from two lower degrees; inf for degrees below 3.
+    """
+
+    connection: Connection
+    patch: Patch = field(repr=False)
+    angular: float
+    linear: float
+    angular_before: float
+    linear_before: float
+    iterations: int
+    degree: int
+    distance: float
+    _basis: Basis = field(repr=False)
+    _turns: tuple[Array, ...] = field(repr=False)
+    _shift: Array = field(repr=False)
+
+    def pose(self, shapes: ArrayLike) -> Array:
+        """Return the pose h(x) of the frame relative to the base.
+
+        Args:
+            shapes: Shapes on the patch, (..., m).
+        Returns:
+            (..., size).
+        """
+        connection = self.connection
+        x = vectors(shapes, connection.m, "shapes", connection.joints)
+        u = self.patch.parameters(x.reshape(-1, connection.m))
+        return read_only(self.pose_at(u).reshape(*x.shape[:-1], connection.group.size))
+
+    def pose_at(self, u: Array) -> Array:
+        """Return the pose of the frame at parameters of the patch.
+
+        Args:
+            u: Parameters, (N, k).
+        Returns:
+            (N, size).
+        """
+        group = self.connection.group
+        values = self._basis.values(u)
+        linear = with_one(values) @ self._shift
+        return np.concatenate([linear, _attitude(group, self._turns, values)], axis=1)
+
+    def local(self, shapes: ArrayLike) -> Array:
+        """Return A′ with respect to the parameters of the patch.
+
+        Args:
+            shapes: Shapes on the patch, (..., m).
+        Returns:
+            (..., r, k).
+        """
+        connection = self.connection
+        x = vectors(shapes, connection.m, "shapes", connection.joints)
+        u = self.patch.parameters(x.reshape(-1, connection.m))
+        return read_only(self.local_at(u).reshape(*x.shape[:-1], connection.r, self.patch.k))
+
+    def local_at(self, u: Array) -> Array:
+        """Return A′ with respect to the parameters of the patch, at parameter values.
+
+        Args:
+            u: Parameters, (N, k).
+        Returns:
+            (N, r, k).
+        """
+        group = self.connection.group
+        A = pulled_back(self.connection, self.patch, u)
+        values, slopes = self._basis.values(u), self._basis.slopes(u)
+        p, dp = with_one(values) @ self._shift, _slope_of(slopes, self._shift)
+        n = group.linear
+        angular = _turned(group, A[:, n:], self._turns, values, slopes)
+        linear = A[:, :n] + _across(group, A[:, n:], p) - dp
+        R = _rotation(group, self._turns, values)
+        return np.concatenate([np.swapaxes(R, 1, 2) @ linear if n else linear, angular], axis=1)
+
+
+@checks_arguments
+@Wait("computes an optimal frame")
+def optimal_frame(
+    connection: ConnectionSource,
+    limits: ArrayLike | Gait,
+    *,
+    joints: Sequence[int] | None = None,
+    at: ArrayLike | None = None,
+    degree: int | None = None,
+    nodes: int | None = None,
+) -> OptimalFrame:
+    """Compute the minimum-perturbation frame over a box of joints or the disc of a gait.
+
+    Args:
+        connection: Connection in the base frame, or a System for its mechanical connection.
+        limits: (low, high) of one to three joints, (k, 2); or a Fourier gait, for any number of
+            joints.
+        joints: Indices of the joints that vary; by default the first ones.
+        at: Values of the other joints, (m,).
+        degree: Degree of the polynomials; by default it is raised until the estimated distance from
+            the best frame is below 1e-6, or up to 40, 30 and 8 for one, two and three parameters.
+        nodes: Quadrature nodes per parameter of a box.
+    Returns:
+        The frame, with the remaining perturbation.
+    Raises:
+        InputError: Limits, joints or gait are invalid.
+        SingularInertiaError: A is undefined on the patch.
+        NoConvergence: The iteration of the attitude does not converge.
+    """
+    connection = connection_of(connection, "optimal_frame").in_chart()
+    if isinstance(limits, Gait):
+        if joints is not None or at is not None or nodes is not None:
+            raise InputError("joints, at and nodes apply to a box of joint limits, not to a gait")
+        disc = Disc(limits)
+        return _converged(lambda order: _frame_of(connection, disc, order), disc.k, degree)
+
+    def over_box(order: int) -> OptimalFrame:
+        patch = box_of(connection.m, limits, joints, at, nodes or order + _MORE_NODES)
+        return _frame_of(connection, patch, order)
+
+    count = min(len(np.atleast_1d(as_floats(limits, "limits"))), 3)
+    return _converged(over_box, count, degree)
+
+
+def _converged(
+    frame_of: Callable[[int], OptimalFrame], parameters: int, degree: int | None
+) -> OptimalFrame:
+    """Return the frame of a degree, or of the first degree that converged, with its distance.
+
+    Args:
+        frame_of: Function that returns the frame of a degree.
+        parameters: Number of parameters of the patch.
+        degree: The degree; None to raise it.
+    Returns:
+        The frame.
+    """
+    step = _STEPS[parameters]
+    first, last = _DEGREES[parameters] if degree is None else (int(degree), int(degree))
+    frames = [frame_of(max(first - k * step, 1)) for k in (2, 1, 0)]
+    while True:
+        distance = max(
+            norm_distance(
+                [frame.degree for frame in frames], norms, max(norms[-1], _LEAST_NORM * before)
+            )
+            for norms, before in (
+                ([frame.angular for frame in frames], frames[0].angular_before),
+                ([frame.linear for frame in frames], frames[0].linear_before),
+            )
+        )
+        best = replace(frames[-1], distance=distance)
+        if distance <= _GOAL or best.degree + step > last:
+            return best
+        frames = [*frames[1:], frame_of(best.degree + step)]
+
+
+def _frame_of(connection: Connection, patch: Patch, order: int) -> OptimalFrame:
+    """Return the optimal frame of a degree, without its distance."""
+    group = connection.group
+    basis = Basis.of(patch.k, order)
+    u, w = patch.nodes, np.sqrt(patch.weights / patch.weights.sum())
+    A = pulled_back(connection, patch, u)
+    n = group.linear
+    values, slopes = basis.values(u), basis.slopes(u)
+    turns, angular, steps = _best_turns(group, A[:, n:], values, slopes, w)
+    shift = _best_shift(group, A, values, slopes, w)
+    linear = (
+        A[:, :n] + _across(group, A[:, n:], with_one(values) @ shift) - _slope_of(slopes, shift)
+    )
+
+    def size(field_: Array) -> float:
+        return float(np.linalg.norm(w[:, None, None] * field_))
+
+    return OptimalFrame(
+        connection=connection,
+        patch=patch,
+        angular=size(angular),
+        linear=size(linear),
+        angular_before=size(A[:, n:]),
+        linear_before=size(A[:, :n]),
+        iterations=steps,
+        degree=order,
+        distance=np.inf,
+        _basis=basis,
+        _turns=turns,
+        _shift=shift,
+    )
+
+
+def with_one(values: Array) -> Array:
+    """Append the constant function 1 to basis values (N, K): (N, K + 1)."""
+    return np.hstack([values, np.ones((len(values), 1))])
+
+
+def _slope_of(slopes: Array, shift: Array) -> Array:
+    """Return ∂p/∂u, (N, linear, k), for coefficients of p (K + 1, linear)."""
+    return np.swapaxes(slopes @ shift[:-1], 1, 2)
+
+
+def pulled_back(connection: Connection, patch: Patch, u: Array) -> Array:
+    """Pull the connection back to the patch: A ∂x/∂u, (N, r, k), at parameters u (N, k)."""
+    A, _, _ = connection.locals_at(patch.shapes(u))
+    return np.asarray(A @ patch.slopes(u))
+
+
+def _best_turns(
+    group: Group, A: Array, values: Array, slopes: Array, w: Array
+) -> tuple[tuple[Array, ...], Array, int]:
+    """Compute the rotation R = Π exp φ that minimises ∫|A′_ω|².
+
+    Args:
+        group: Symmetry group.
+        A: Rotational rows of the connection at the nodes, (N, turns, k).
+        values: Basis functions at the nodes, (N, K).
+        slopes: Derivatives of the basis functions, (N, k, K).
+        w: Square roots of the normalised quadrature weights, (N,).
+    Returns:
+        The coefficients of each φ, A′_ω at the nodes, and the number of iterations.
+    Raises:
+        NoConvergence: The iteration does not converge.
+    """
+    if not group.turns:
+        return (), A, 0
+    # One factorisation of the least-squares problem ∂φ = A′ serves all iterations.
+    count, k = slopes.shape[:2]
+    weighted_slopes = (w[:, None, None] * slopes).reshape(count * k, -1)
+    Q, upper = np.linalg.qr(weighted_slopes)
+    turns: list[Array] = []
+    current, before = A, np.inf
+    for step in range(_ITERATIONS):
+        size = float(np.linalg.norm(w[:, None, None] * current))
+        if before - size <= _STILL * size or size < 1e-14:
+            return tuple(turns), current, step
+        right = (w[:, None, None] * np.swapaxes(current, 1, 2)).reshape(count * k, -1)
+        turns.append(np.asarray(np.linalg.solve(upper, Q.T @ right)))
+        before, current = size, _turned(group, A, tuple(turns), values, slopes)
+    raise NoConvergence(
+        "the attitude of the frame did not converge; make the patch smaller",
+        float(_ITERATIONS),
+        current,
+    )
+
+
+def _best_shift(group: Group, A: Array, values: Array, slopes: Array, w: Array) -> Array:
+    """Compute the translation p that minimises ∫|A′_v|², by linear least squares.
+
+    Args:
+        group: Symmetry group.
+        A: Connection at the nodes, (N, r, k).
+        values: Basis functions at the nodes, (N, K).
+        slopes: Derivatives of the basis functions, (N, k, K).
+        w: Square roots of the normalised quadrature weights, (N,).
+    Returns:
+        Coefficients of p, (K + 1, linear), the constant last.
+    """
+    n, (count, k, K) = group.linear, slopes.shape
+    if not n:
+        return np.zeros((K + 1, 0))
+    from scipy.linalg import lstsq
+
+    # Solve ∂p_i − (A_ω × p)_i = (A_v)_i at every node and parameter. The constant of p matters
+    # only if A_ω is not zero.
+    basis, by = with_one(values), np.concatenate([slopes, np.zeros((count, k, 1))], axis=2)
+    system = np.zeros((count, k, n, K + 1, n))
+    units = np.eye(n)
+    for j in range(n):
+        system[:, :, j, :, j] += by
+        crossed = _across(group, A[:, n:], np.tile(units[j], (count, 1)))  # (N, n, k)
+        system[..., j] -= np.einsum("nia,nK->naiK", crossed, basis)
+    system *= w[:, None, None, None, None]
+    right = w[:, None, None] * np.swapaxes(A[:, :n], 1, 2)
+    matrix = system.reshape(count * k * n, (K + 1) * n)
+    # Use QR with pivoting, because the constant of p is undetermined if A_ω vanishes.
+    solution = lstsq(matrix, right.ravel(), cond=1e-13, lapack_driver="gelsy", check_finite=False)[
+        0
+    ]
+    return np.asarray(solution.reshape(K + 1, n))
+
+
+def _across(group: Group, turning: Array, p: Array) -> Array:
+    """Return A_ω × p, (N, linear, k), for A_ω (N, turns, k) and p (N, linear)."""
+    n, k = group.linear, turning.shape[2]
+    if not n or not group.turns:
+        return np.zeros((len(p), n, k))
+    twists = np.concatenate([np.zeros((len(p), n, k)), turning], axis=1)
+    v = in_space(group, np.swapaxes(twists, 1, 2))[..., 3:]
+    arms = in_space(group, np.concatenate([p, np.zeros((len(p), group.turns))], axis=1))[..., :3]
+    crossed = np.cross(v, arms[:, None])[..., list(group.axes[:n])]
+    return np.asarray(np.swapaxes(crossed, 1, 2))
+
+
+def _attitude(group: Group, turns: Sequence[Array], values: Array) -> Array:
+    """Return the attitude (N, 1) or (N, 4) of the product of rotations, for a basis (N, K)."""
+    if not group.turns:
+        return np.zeros((len(values), 0))
+    if group.turns == 1:
+        return np.asarray(sum((values @ c for c in turns), np.zeros((len(values), 1))))
+    q = np.tile([0.0, 0.0, 0.0, 1.0], (len(values), 1))
+    for c in turns:
+        q = quaternion_product(q, quaternion_exp(values @ c))
+    return q
+
+
+def _rotation(group: Group, turns: Sequence[Array], values: Array) -> Array:
+    """Return the rotation matrices, (N, linear, linear)."""
+    attitude, n = _attitude(group, turns, values), group.linear
+    units = np.eye(n)
+    columns = [group.turned(attitude, np.tile(units[j], (len(values), 1))) for j in range(n)]
+    return np.stack(columns, axis=2) if n else np.zeros((len(values), 0, 0))
+
+
+def _turned(group: Group, A: Array, turns: Sequence[Array], values: Array, slopes: Array) -> Array:
+    """Return A′_ω = Rᵀ (A_ω − (∂R Rᵀ)^∨) for R = Π exp φ, one factor after another."""
+    for c in turns:
+        d = np.swapaxes(slopes @ c, 1, 2)
+        if group.turns == 1:
+            A = A - d
+            continue
+        phi = values @ c
+        R = rotation(quaternion_exp(phi))
+        A = np.swapaxes(R, 1, 2) @ A - _right_slope(phi) @ d
+    return A
+
+
+def _right_slope(phi: Array) -> Array:
+    """Return J, (N, 3, 3), with exp(−φ) ∂exp(φ) = J ∂φ on SO(3)."""
+    angle = np.linalg.norm(phi, axis=1)[:, None, None]
+    square = angle**2
+    small = angle < 0.1
+    safe = np.where(small, 1.0, angle)
+    a = np.where(small, 0.5 - square / 24.0 * (1.0 - square / 30.0), (1.0 - np.cos(safe)) / safe**2)
+    series = 1.0 / 6.0 - square / 120.0 * (1.0 - square / 42.0)
+    b = np.where(small, series, (safe - np.sin(safe)) / safe**3)
+    H = hat(phi)
+    return np.asarray(np.eye(3) - a * H + b * (H @ H))
+
 
 _TRUSTED = 0.05  # relative error below which the integral is trusted
 

@@ -17,8 +17,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, as_floats, vector, whole
 from ...common.errors import InputError
 from ...common.waiting import Wait
-from ..connections.connection import Connection
-from ..connections.connection_source import ConnectionSource, connection_of
+from ..connections.connection import Connection, ConnectionSource, connection_of
 from ..gaits.arcs import line
 from ..gaits.gait import Gait
 from ..phases.lift import STAGES, PathSegments, in_space, lift, nodes

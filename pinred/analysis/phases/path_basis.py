@@ -21,8 +21,7 @@ from ...common.waiting import Wait
 from ...integrators.gauss.tables import tables
 from ...kernels.connection.connection_code import ConnectionCode
 from ...lie.group import Group
-from ..connections.connection import Connection
-from ..connections.connection_source import ConnectionSource, connection_of
+from ..connections.connection import Connection, ConnectionSource, connection_of
 from ..gaits.gait import Gait
 from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, lifted, nodes
 

@@ -27,8 +27,7 @@ from ...common.html import Rows, Summary
 from ...common.waiting import Wait
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group, PoseError
-from ..connections.connection import Connection
-from ..connections.connection_source import ConnectionSource, connection_of
+from ..connections.connection import Connection, ConnectionSource, connection_of
 from ..connections.connection_values import refuse_crossing, refuse_singular
 from ..connections.dead_points import along_joints
 from ..connections.gaits_of_all_joints import AllJointsCode

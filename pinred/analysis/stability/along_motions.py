@@ -16,8 +16,7 @@ from ...forces.force_values import ForceInputs
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...simulation.trajectory import Trajectory
-from .linearisation import Linearisation, linearised
-from .linearised_flow import LinearisedFlow, linearised_flow, scene_at
+from .linearised_flow import Linearisation, LinearisedFlow, linearised, linearised_flow, scene_at
 
 _STEPS_PER_BASIS = 10  # number of steps between two orthonormalisations
 _MAX_CLOSURE = 1e-6  # largest relative difference between the two ends of a period

@@ -13,7 +13,7 @@ from ...common.arrays import Array, FrozenArrays
 from ...kernels.state_layout import Layout
 from ...system.coordinates import ShapeSpace
 from ...system.joints import BALL
-from .linearisation import Linearisation, eigen, eigenvalue_errors, norm
+from .linearised_flow import Linearisation, eigen, eigenvalue_errors, norm
 from .second_variation import SecondVariation
 
 Verdict: TypeAlias = Literal["stable", "unstable", "undecided"]

@@ -1,8 +1,14 @@
-"""LLVM IR and PTX of a batch on a CUDA device: one thread integrates one member.
+"""Batches on a CUDA device as LLVM IR and PTX: one thread integrates one member.
 
 The step loop is the bitcode that integrates single runs on the CPU (`step_loop.advance`), and the
 vector field is the IR of the kernel.  The entry point only addresses the arrays of a member.  A
 thread copies the registers of its run, and keeps the work rows, in its local memory.
+
+Devices have no libm, so the module also generates the sine and cosine of angles of any size.
+
+M. H. Payne and R. N. Hanek, Radian reduction for trigonometric functions, SIGNUM Newsletter 18(1),
+1983: x = m 2ᵉ with an integer m, so x · 2/π mod 4 needs only a window of the binary digits of 2/π.
+The product of m with a window of 256 digits is exact modulo 2²⁵⁶.
 """
 
 from __future__ import annotations
@@ -16,24 +22,140 @@ from typing import Any
 
 import llvmlite.binding as llvm
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ...common.arrays import read_only
-from ...common.errors import UnsupportedOperationError
+from ...common.errors import InputError, UnsupportedOperationError
 from ...common.machine_code import LLVM_LOCK
 from ...common.memo import once, once_for_all
 from ...common.object_cache import ObjectCache, cache_key
 from ...common.optional_packages import install_command
-from ...integrators.methods.method import Explicit, stepper_of
+from ...integrators.integrate import begun_by
+from ...integrators.integrate_many import Solutions, checked_batch, solutions
+from ...integrators.methods.method import Explicit, Method, stepper_of
 from ...integrators.stepping.argument_types import argument_type, plain_value
 from ...integrators.stepping.call_wrapper import COMPILED
-from ...integrators.stepping.run_state import LAYOUT, new_run
+from ...integrators.stepping.codes import PAUSED
+from ...integrators.stepping.run_state import LAYOUT, NOT_CANONICAL, new_run
 from ...integrators.stepping.shipped_code import find_shipped, shipped_name
 from ..build import model_bytes
 from ..kernel import Kernel
 from ..machine.lowering import lower
+from ..machine.sincos import PARTS, constant, declarations, rotated_ir
 from ..reduced_graph import ReducedGraph
-from .cuda_driver import CAPABILITY
-from .large_angles import large_angles_ir
+from .cuda_driver import CAPABILITY, opened_device, run_on_device
+
+_DIGITS = 1225  # number of binary digits of 2/π that the largest angles need
+_WINDOW = 32  # length of a window [bytes]
+# Angles below 2²⁰ never reach these functions. Their exponent decides the last window.
+_TABLE = (2046 - (1023 + 20) + 7) // 8 + _WINDOW
+
+
+def _two_over_pi() -> int:
+    """Return ⌊2/π · 2^_DIGITS⌋, with π = 16 arctan 1/5 − 4 arctan 1/239 (Machin)."""
+    one = 1 << (2 * _DIGITS)
+
+    def inverse_arctan(k: int) -> int:
+        power, total, n = one // k, 0, 1
+        while power:
+            total += power // n if n % 4 == 1 else -(power // n)
+            power, n = power // (k * k), n + 2
+        return total
+
+    pi = 16 * inverse_arctan(5) - 4 * inverse_arctan(239)
+    return (one << (_DIGITS + 1)) // pi
+
+
+def large_angles_ir() -> str:
+    """Generate `double @sin(double)` and `double @cos(double)`, for angles of at least 2²⁰ rad.
+
+    The angles may also be infinite or NaN; the results are then NaN.
+
+    Returns:
+        The LLVM IR.
+    """
+    table = "".join(f"\\{byte:02X}" for byte in _two_over_pi().to_bytes(_TABLE, "little"))
+    results = "\n".join(
+        f"define double @{name}(double %x) nounwind {{\n"
+        "%both = call {double, double} @pinred.large(double %x)\n"
+        f"%value = extractvalue {{double, double}} %both, {k}\n"
+        "ret double %value\n}"
+        for k, name in enumerate(("sin", "cos"))
+    )
+    return f"""\
+{declarations(1)}
+declare i256 @llvm.ctlz.i256(i256, i1)
+@pinred.two_over_pi = internal constant [{_TABLE} x i8] c"{table}"
+{rotated_ir()}
+define internal {{double, double}} @pinred.large(double %x) noinline nounwind {{
+; |x| = m 2^(exponent - 1075); the quotient |x| 2/π is v 2^-254 mod 4.
+%sized = bitcast double %x to i64
+%shifted = lshr i64 %sized, 52
+%exponent = and i64 %shifted, 2047
+%fraction = and i64 %sized, {2**52 - 1}
+%m = or i64 %fraction, {2**52}
+%digits = sub i64 2046, %exponent
+%upwards = add i64 %digits, 7
+%byte = lshr i64 %upwards, 3
+%whole = shl i64 %byte, 3
+%rest = sub i64 %whole, %digits
+%at = getelementptr i8, ptr @pinred.two_over_pi, i64 %byte
+%window = load i256, ptr %at, align 1
+%scaled = shl i64 %m, %rest
+%wide = zext i64 %scaled to i256
+%v = mul i256 %wide, %window
+; The nearest multiple of π/2, and the rest as a signed fraction f 2^-256 of π/2.
+%rounded = add i256 %v, {2**253}
+%quadrant = lshr i256 %rounded, 254
+%q = trunc i256 %quadrant to i64
+%f = shl i256 %v, 2
+%below = icmp slt i256 %f, 0
+%minusf = sub i256 0, %f
+%size = select i1 %below, i256 %minusf, i256 %f
+; Its 106 highest digits, as two numbers h and l, of which 2^-zeros (h + l) is the fraction.
+%zeros = call i256 @llvm.ctlz.i256(i256 %size, i1 false)
+%normal = shl i256 %size, %zeros
+%highbits = lshr i256 %normal, 203
+%high = trunc i256 %highbits to i64
+%lowbits = lshr i256 %normal, 150
+%lower = trunc i256 %lowbits to i64
+%low = and i64 %lower, {2**53 - 1}
+%h53 = uitofp i64 %high to double
+%l106 = uitofp i64 %low to double
+%count = trunc i256 %zeros to i64
+%power = sub i64 1023, %count
+%scalebits = shl i64 %power, 52
+%scale = bitcast i64 %scalebits to double
+%h0 = fmul double %h53, {constant(2.0**-53)}
+%l0 = fmul double %l106, {constant(2.0**-106)}
+%h = fmul double %h0, %scale
+%l = fmul double %l0, %scale
+; r + e = (h + l) π/2
+%r = fmul double %h, {constant(PARTS[0])}
+%minusr = fneg double %r
+%e0 = call double @llvm.fma.f64(double %h, double {constant(PARTS[0])}, double %minusr)
+%e1 = call double @llvm.fma.f64(double %h, double {constant(PARTS[1] + PARTS[2])}, double %e0)
+%e = call double @llvm.fma.f64(double %l, double {constant(PARTS[0])}, double %e1)
+%minuse = fneg double %e
+%rs = select i1 %below, double %minusr, double %r
+%es = select i1 %below, double %minuse, double %e
+%both = call {{double, double}} @pinred.rotated(double %rs, double %es, i64 %q)
+; The sine has the sign of x, and both are NaN for infinities and NaN.
+%sine = extractvalue {{double, double}} %both, 0
+%cosine = extractvalue {{double, double}} %both, 1
+%negative = icmp slt i64 %sized, 0
+%minussine = fneg double %sine
+%signed = select i1 %negative, double %minussine, double %sine
+%nan = fsub double %x, %x
+%lastsine = fadd double %signed, %nan
+%lastcosine = fadd double %cosine, %nan
+%first = insertvalue {{double, double}} poison, double %lastsine, 0
+%result = insertvalue {{double, double}} %first, double %lastcosine, 1
+ret {{double, double}} %result
+}}
+{results}
+"""
+
 
 ENTRY = "integrate_members"  # name of the entry point
 _CPU, _FEATURES = f"sm_{CAPABILITY[0]}{CAPABILITY[1]}", "+ptx80"  # PTX of CUDA 12.0
@@ -324,3 +446,55 @@ end:
 ret void
 }}
 """
+
+
+_NO_PAUSE = 2**62  # number of evaluations before a run pauses
+
+
+def integrate_on_device(
+    method: Method,
+    kernel: Kernel,
+    params: ArrayLike,
+    y0: ArrayLike,
+    t_end: ArrayLike,
+    times: ArrayLike,
+) -> Solutions:
+    """Integrate ẏ = f(y, params[i]) from y0[i] for all members i, one member per thread.
+
+    The step loop and its numbers are those of `integrate`. A device may round the kernel and its
+    sines differently, so the results agree up to round-off and its growth.
+
+    Args:
+        method: Explicit method, such as DOP853.
+        kernel: Kernel of f.
+        params: Parameters, (N, p).
+        y0: Initial states, (N, n).
+        t_end: End time, or one for each member, (N,) [s].
+        times: Sorted report times, (T,) or (N, T), as for `integrate_many` [s].
+    Returns:
+        The solutions, member first.
+    Raises:
+        InputError: An argument is invalid.
+        DeviceError: There is no device that can run the code, or it reports an error.
+        MissingPackageError: `cuda.bindings` is not installed.
+        UnsupportedOperationError: The code needs a function that devices do not have.
+    """
+    if not isinstance(method, Explicit):
+        raise InputError(
+            f"method: expected DOP853 or Tsit5 on a device, got {method.name}. Choose one of them"
+        )
+    opened_device()  # report a missing device before its code is generated
+    quaternions = kernel.layout.quaternions
+    asked = checked_batch(kernel.rate.address, params, y0, t_end, times, quaternions, 1)
+    batch = asked.batch
+    (size, n), (rows, columns) = batch.y0.shape, batch.times.shape
+    first = begun_by(method, kernel.rate.address, n, asked.end, quaternions, NOT_CANONICAL)
+    runs = np.repeat(first, size)
+    runs["t_end"], runs["budget"] = batch.ends, _NO_PAUSE
+    status = np.full(size, PAUSED)
+    arrays = (runs, batch.params, batch.y0, batch.times, batch.y, status)
+    run_on_device(ptx_of(kernel, method), ENTRY, size, (size, columns, rows, *arrays))
+    batch.outcomes["status"] = status
+    for name in ("t", "entry", "steps", "rejected", "evaluations"):
+        batch.outcomes[name] = runs[name]
+    return solutions(method, batch)

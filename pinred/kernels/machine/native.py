@@ -16,8 +16,7 @@ from ...common.cpu_target import cpu_target
 from ...common.errors import InputError
 from ...common.machine_code import create_machine, emit_object
 from ...reduction.tree.identical_branches import Mark
-from .lowering import lower
-from .operations import RESERVED
+from .lowering import RESERVED, lower
 
 # Code generation at level 1 emits code of the same results and speed in a tenth less time than 2.
 _LEVEL = 1

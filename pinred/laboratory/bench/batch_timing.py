@@ -22,7 +22,7 @@ from ...common.errors import InputError, PinredError
 from ...common.progress import Progress, one_by_one, quiet, shown
 from ...judge.distances import FullMotion
 from ...judge.reference_solution import FINEST
-from ...scene.random_state import random_state
+from ...scene.initial_state import random_state
 from ...simulation.members.trajectories import Trajectories
 from ...simulation.simulate_many import simulate_many
 from ...system.system import System

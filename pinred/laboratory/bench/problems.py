@@ -18,7 +18,7 @@ from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ...judge.distances import FullMotion
 from ...judge.reference_solution import FullState
-from ...scene.random_state import random_state
+from ...scene.initial_state import random_state
 from ...scene.scene import Scene
 from ...system.coordinates import InitialState
 from ...system.load import load

@@ -11,8 +11,7 @@ import numpy as np
 
 from ...common.errors import InputError
 from ...system.robot_files import bundled_robots, example_robots
-from .corpus_entry import GOOD, Entry, write_entries
-from .description_files import Description, find_descriptions
+from .corpus_entry import GOOD, Description, Entry, find_descriptions, write_entries
 from .trial import TrialOptions
 from .worker import Worker
 

@@ -12,8 +12,7 @@ import tempfile
 import time
 from multiprocessing.connection import Connection
 
-from .corpus_entry import Entry, Outcome
-from .description_files import Description
+from .corpus_entry import Description, Entry, Outcome
 from .trial import TrialOptions, run_trial
 
 _WARM_UP = 60.0  # additional time [s] of a new process for its imports

@@ -7,9 +7,9 @@ from ...analysis.connections.connection import Connection as Connection
 from ...analysis.connections.fluid import Ellipse as Ellipse
 from ...analysis.connections.fluid import Ellipsoid as Ellipsoid
 from ...analysis.connections.fluid import Rod as Rod
+from ...analysis.connections.mixed import follow_mixed as follow_mixed
 from ...analysis.connections.mixed import mixed_connection as mixed_connection
-from ...analysis.connections.mixed_motion import follow_mixed as follow_mixed
-from ...analysis.connections.mixed_motion import simulate_mixed as simulate_mixed
+from ...analysis.connections.mixed import simulate_mixed as simulate_mixed
 from ...analysis.connections.wheels import Wheel as Wheel
 from ...analysis.equilibria.find import relative_equilibria as relative_equilibria
 from ...analysis.floating_arm import FloatingArm as FloatingArm

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...analysis.connections.connection_source import robot_of
+from ...analysis.connections.connection import robot_of
 from ...analysis.connections.loop_connection import LoopConnectionCode
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.phase import Phase

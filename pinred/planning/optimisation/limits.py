@@ -9,8 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...analysis.connections.connection import Connection
-from ...analysis.connections.connection_source import robot_of
+from ...analysis.connections.connection import Connection, robot_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import fourier_rows
 from ...common.arrays import Array, FrozenArrays, as_floats

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...analysis.connections.connection import Connection
-from ...analysis.connections.connection_source import ConnectionSource, connection_of
+from ...analysis.connections.connection import Connection, ConnectionSource, connection_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift, polygon_basis
 from ...common.argument_kinds import checks_arguments

@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...analysis.connections.connection import Connection
-from ...analysis.connections.connection_source import ConnectionSource, rest_of, system_of
+from ...analysis.connections.connection import Connection, ConnectionSource, rest_of, system_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift
 from ...analysis.phases.phase import phase
@@ -39,7 +38,7 @@ from ...common.errors import (
 from ...common.names import joint_index
 from ...common.waiting import Wait
 from ...lie.rotations import quaternion_log
-from ...scene.joint_values import order_by_joint
+from ...scene.initial_state import order_by_joint
 from ...system.system import System, checked_system
 from ..optimisation.gait_search import StartFailed
 from ..optimisation.limits import Limits, LimitsLike, limits_of, margins, require_two_joints

@@ -1,4 +1,4 @@
-"""Places in a TOML file, and the messages that name them."""
+"""Texts of files, places in them, and the messages that name them."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ import tomllib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NoReturn
 
-from ...common.errors import InputError, PinredError
-from ...common.names import nearest
+from ...common.errors import InputError, LoadError, PinredError
+from ...common.names import nearest, quoted_path
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
 _SHOWN = 40  # largest number of characters of a value that a message shows
+LARGEST = 10_000_000  # largest accepted size of a file [byte]
 _SCANNED = 500  # number of lines at the top of a file in which the line of a key is searched
 
 
@@ -132,3 +134,31 @@ def shown(value: Any) -> str:
 def _quoted(value: str) -> str:
     short = value if len(value) <= _SHOWN else value[: _SHOWN - 1] + "…"
     return json.dumps(short).replace("\\u2026", "…")
+
+
+def read_text(path: Path, what: str) -> str:
+    """Return the text of a file.
+
+    Args:
+        path: The file.
+        what: Kind of file in messages.
+    Returns:
+        The text.
+    Raises:
+        LoadError: The file is missing, too large, or not UTF-8.
+    """
+    try:
+        if not path.is_file():
+            raise LoadError(f"no such {what}: {quoted_path(path)}")
+        with path.open("rb") as file:
+            raw = file.read(LARGEST + 1)
+        if len(raw) > LARGEST:
+            raise LoadError(f"{what} {quoted_path(path)} has more than {LARGEST} bytes")
+        return raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise LoadError(
+            f"{what} {quoted_path(path)} is not UTF-8 text, at byte {error.start}"
+        ) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise LoadError(f"cannot read {what} {quoted_path(path)}: {reason}") from None

@@ -23,14 +23,13 @@ from ...integrators.methods import METHODS
 from ...system.assembly import link_frame
 from ...system.system import System
 from ..event import Event
+from ..initial_state import DURATION
 from ..input_formats import parse_control, parse_controls, parse_method
-from ..random_state import DURATION
 from ..scene import ENGINES, Engine, Scene
 from ..stop import Stop, parse_stops
-from .documents import read_document, robot_in
+from .documents import FILE_OPTIONS, SCENE, options_in, read_document, robot_in
 from .file_place import Place, naming, one_line, unknown
 from .force_kinds import FORCES
-from .keys import FILE_OPTIONS, SCENE, options_in
 from .parameter_tables import FileParameter, file_parameters, refuse_others, with_robot_parameters
 from .signal_tables import SignalReader
 

@@ -1,18 +1,95 @@
-"""Numbers, formulas and signals in scene files: their keys, and the reader of signals."""
+"""Signals and attitudes in files: numbers, formulas, tables of points, and columns of csv files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import csv
+import io
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ...common.errors import PinredError
+import numpy as np
+
+from ...common.arrays import Array
+from ...common.errors import InputError, PinredError
+from ...common.names import quoted_path
 from ...forces.signals import Attitude, Constant, Expression, Fourier, Hold, Linear, Signal, Spline
 from ...forces.signals.attitude_signal import parse_attitude
 from ...forces.signals.tabulated import ENDS
-from .csv_columns import read_columns
-from .file_place import Place, naming
+from .file_place import Place, naming, read_text, shown, unknown
 from .schema import ByName, Either, Key, ListOf, Number, Table, Text, Whole
+
+
+def read_columns(path: Path, columns: Sequence[str | int]) -> Array:
+    """Return columns of a csv file.
+
+    The first line is a header if one of its cells is not a number.
+
+    Args:
+        path: The file.
+        columns: Column names in the header, or column indices from 0.
+    Returns:
+        Values of the columns, (rows, len(columns)).
+    Raises:
+        LoadError: The file cannot be read.
+        InputError: A column is missing or a cell is not a number.
+    """
+    text = read_text(path, "csv file")
+    try:
+        lines = [
+            (reader.line_num, [cell.strip() for cell in row])
+            for reader in [csv.reader(io.StringIO(text, newline=""), strict=True)]
+            for row in reader
+            if any(cell.strip() for cell in row)
+        ]
+    except csv.Error as error:
+        raise InputError(f"{quoted_path(path)} is not a csv file: {error}") from None
+    if not lines:
+        raise InputError(f"{quoted_path(path)} is empty")
+    first = lines[0][1]
+    header = first if any(_float(cell) is None for cell in first) else []
+    chosen = [_index(column, header, len(first), path) for column in columns]
+    rows = lines[1:] if header else lines
+    if not rows:
+        raise InputError(f"{quoted_path(path)} has no numbers below its header")
+    return np.array([[_cell(row, k, line, path) for k in chosen] for line, row in rows])
+
+
+def _index(column: str | int, header: list[str], count: int, path: Path) -> int:
+    if isinstance(column, str):
+        if column not in header:
+            said = unknown(column, "column", header, "the columns are")
+            raise InputError(
+                f"{quoted_path(path)}: {said if header else 'there is no header with names'}"
+            )
+        if header.count(column) > 1:
+            raise InputError(f"{quoted_path(path)} has two columns {shown(column)}")
+        return header.index(column)
+    if column >= count:
+        raise InputError(
+            f"{quoted_path(path)} has {count} columns, so column {column} (counted from 0) is "
+            "missing"
+        )
+    return column
+
+
+def _cell(row: list[str], k: int, line: int, path: Path) -> float:
+    where = f"{quoted_path(path)}, line {line}, column {k}"
+    if k >= len(row):
+        raise InputError(f"{where}: there are only {len(row)} columns")
+    value = _float(row[k])
+    if value is None or not math.isfinite(value):
+        raise InputError(f"{where}: must be a finite number, got {shown(row[k])}")
+    return value
+
+
+def _float(cell: str) -> float | None:
+    try:
+        return None if "_" in cell else float(cell)
+    except ValueError:
+        return None
+
 
 NUMBER, POSITIVE = Number(), Number(positive=True)
 NUMBERS = ListOf(NUMBER)
@@ -62,7 +139,6 @@ _KINDS = {
 SIGNAL_TABLE = Table(_KINDS, "a signal table", one_of=tuple(_KINDS), name="signal_table")
 _TIME = Text((), "a formula in t")
 SIGNAL = Either((NUMBER, _TIME, SIGNAL_TABLE), "signal")
-VECTOR = "a rotation vector of three signals, or a quaternion (x, y, z, w)"
 _ATTITUDE = Table(
     {
         "vector": Key(ListOf(SIGNAL, 3), "rotation vector w(t) in the axes of the child [rad]"),

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any, Unpack, get_args
 
 import numpy as np
 
-from ...common.argument_kinds import checks_arguments
+from ...common.argument_kinds import checks_arguments, shows_fields
 from ...common.arrays import Array, as_floats
 from ...common.errors import InputError, SceneWarning, ShapeError
 from ...common.memo import once
 from ...common.names import brief, listed, nearest, quoted
-from ...common.signatures import shows_fields
 from ...scene.scene import Scene
 from ...scene.scene_options import SceneOptions
 from ...system.state_fields import FIELDS, Outcome, ShapeState, State

@@ -18,7 +18,7 @@ from ...common.parameter import VectorParameter, by_name, refuse_entry
 from ...forces.force_model import ForceModel
 from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers
-from ...scene.joint_values import order_by_joint
+from ...scene.initial_state import order_by_joint
 from ...scene.scene import Scene
 from ..robot_columns import RobotColumns, with_own
 from .closed_inputs import close_inputs, closing_slopes

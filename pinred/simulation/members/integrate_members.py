@@ -224,7 +224,7 @@ def _integrate_piece(
 
 def _integrate_on_device(flow: CompiledFlow, method: Method, piece: _Piece, y0: Array) -> Solutions:
     """Integrate members from y0 (N, k) on a CUDA device, each over one time span."""
-    from ...kernels.device.integrate_on_device import integrate_on_device
+    from ...kernels.device.device_code import integrate_on_device
 
     parameters, lengths, times = _inputs(flow, piece)
     return integrate_on_device(method, flow.kernel, parameters, y0, lengths, times)

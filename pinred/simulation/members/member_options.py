@@ -24,9 +24,7 @@ from ...common.names import brief, listed
 from ...integrators.methods import Method
 from ...reduction.potential import acting_gravity, falling
 from ...scene import input_formats
-from ...scene.initial_state import GivenStates, refuse_vague
-from ...scene.joint_values import order_by_joint
-from ...scene.random_state import random_state
+from ...scene.initial_state import GivenStates, order_by_joint, random_state, refuse_vague
 from ...scene.scene import Scene
 from ...system.coordinates import Indices
 from ...system.model_parameters import GRAVITY, requested, size_of

@@ -12,8 +12,7 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import InputError, ModelError
 from ...common.names import quoted
-from .joint_laws import JointLaw
-from .kinematics import loop_ends
+from .kinematics import JointLaw, loop_ends
 from .loop import HEAVY_GROUND, Constraint, JointPolynomial, Loop
 from .loop_assembly import (
     CLOSED,

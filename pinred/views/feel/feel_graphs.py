@@ -28,8 +28,7 @@ from ...reduction.symbolic_placements import (
 )
 from ...reduction.tree.momenta import bracket
 from ...system.joints import axes_of
-from ...system.loops.joint_laws import JointLaw
-from ...system.loops.kinematics import loop_ends, rotation_axes
+from ...system.loops.kinematics import JointLaw, loop_ends, rotation_axes
 from ...system.loops.loop import JointPolynomial, Loop
 from ...system.loops.looped_system import loop_kinematics
 from ...system.system import System

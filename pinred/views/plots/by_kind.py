@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from inspect import unwrap
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from ...common.argument_kinds import checks_arguments
+from ...common.argument_kinds import checks_arguments, shows_overloads
 from ...common.errors import InputError
-from ...common.signatures import shows_overloads
 from .. import plots
 
 if TYPE_CHECKING:
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from ...analysis.branches.follow import Branches
-    from ...analysis.connections.connection_source import ConnectionSource
+    from ...analysis.connections.connection import ConnectionSource
     from ...analysis.gaits.gait import Gait
     from ...analysis.phases.phase import Phase
     from ...judge.verdict import Report

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from ...analysis.connections.connection import Connection
-from ...analysis.connections.connection_source import (
+from ...analysis.connections.connection import (
+    Connection,
     ConnectionSource,
     connection_of,
     rest_of,
