@@ -14,6 +14,8 @@ from .analysis.connections.connection_values import ConnectionField as Connectio
 from .analysis.connections.fluid import Ellipse as Ellipse
 from .analysis.connections.fluid import Ellipsoid as Ellipsoid
 from .analysis.connections.fluid import Rod as Rod
+from .analysis.connections.loop_connection import ClosedShape as ClosedShape
+from .analysis.connections.loop_connection import LoopReduction as LoopReduction
 from .analysis.connections.mixed import MixedConnection as MixedConnection
 from .analysis.connections.mixed import MixedMotion as MixedMotion
 from .analysis.connections.mixed import follow_mixed as follow_mixed
@@ -35,8 +37,6 @@ from .analysis.frames.corrected_integral import corrected_integral as corrected_
 from .analysis.frames.corrected_integral import optimal_frame as optimal_frame
 from .analysis.frames.flatness import Flatness as Flatness
 from .analysis.frames.flatness import flatness as flatness
-from .analysis.full_reduction import ClosedShape as ClosedShape
-from .analysis.full_reduction import LoopReduction as LoopReduction
 from .analysis.full_reduction import Reduction as Reduction
 from .analysis.gaits.gait import Gait as Gait
 from .analysis.inspection import Inspection as Inspection

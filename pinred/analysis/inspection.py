@@ -24,7 +24,7 @@ from ..system.hinge_triples import hinge_triples
 from ..system.loops.loop_assembly import CLOSED, assemble
 from ..system.merge_hinges import actions_of, coupled_joints
 from ..system.system import System, checked_system
-from .full_reduction import ClosedShape, LoopReduction
+from .connections.loop_connection import ClosedShape, LoopReduction
 
 _SHAPES = 3  # number of random shapes at which the curvature is tested
 _NEARBY = 0.3  # displacement to nearby closed shapes [rad | m]

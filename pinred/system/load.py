@@ -52,15 +52,22 @@ from .locked_joints import (
     separate_attitudes,
 )
 from .loops.kinematics import loop_ends
-from .loops.loop import HEAVY_GROUND, Constraint, JointPolynomial, Loop, parse_loops
-from .loops.loop_file import LoopFile, requested_loops
+from .loops.loop import (
+    HEAVY_GROUND,
+    Constraint,
+    JointPolynomial,
+    Loop,
+    LoopFile,
+    parse_loops,
+    requested_loops,
+)
 from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls, unlocked_balls
 from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
 from .passive import Spring, passive_contents
 from .read_sdf import read_sdf
 from .read_urdf import UrdfRobot, read_urdf
-from .rebuild import rebuild, split_joints, without_mimics
+from .rebuild import rebuild, split_joints, with_joint_types, without_mimics
 from .robot_description import Model
 from .robot_file_contents import Contents, Coupling, LeftOut, Origin
 from .robot_files import (
@@ -419,7 +426,7 @@ def _load_model(
 ) -> System:
     """Lock and merge joints of a robot, choose its root joint, and return its system."""
     lock = {**dict.fromkeys(loops.fixed, 0.0), **lock}
-    split = split_joints(loops.with_joints(robot.raw))
+    split = split_joints(with_joint_types(robot.raw, loops))
     names = list(split.model.names)
     all_couplings = (*robot.couplings, *split.couplings)
     requested = split.locked(lock)

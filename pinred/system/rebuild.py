@@ -24,15 +24,17 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array
 from ..common.errors import InputError, ModelError
-from ..common.names import listed, quoted
+from ..common.names import listed, nearest, quoted
 from .joints import RootChain, is_shape_joint, motion_group, places_on_root, root_chain
 from .locked_joints import LockValue
+from .loops.loop import Loop, LoopFile
 from .robot_file_contents import Coupling
 
 # Prismatic joints along x, y and z, which are faster than the last one, for an arbitrary axis.
 PRISMATIC = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ, pin.JointModelPrismaticUnaligned)
 REVOLUTE = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelRevoluteUnaligned)
 _RATE_LIMITS = ("lowerVelocityLimit", "upperVelocityLimit", "lowerEffortLimit", "upperEffortLimit")
+_HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 _ALIGNED = 1e-9  # largest deviation of a unit axis from x, y or z that counts as round-off
 
 
@@ -621,3 +623,55 @@ def copy_losses(
                     values = getattr(raw, array)[part.rates]
                     getattr(model, array)[at : at + part.joint.nv] = values
     return tuple(dict.fromkeys(sliding))
+
+
+def with_joint_types(raw: pin.Model, loops: LoopFile) -> pin.Model:
+    """Return a model whose joints have the types of a file of loops.
+
+    A universal joint becomes two hinges, whose names end in _X, _Y or _Z, as in
+    example-parallel-robots.
+
+    Args:
+        raw: Model of the URDF.
+        loops: The file.
+    Returns:
+        The model; `raw` itself if the types are those of the URDF.
+    Raises:
+        InputError: The model lacks a joint or a frame that the file names.
+    """
+    names = [str(name) for name in raw.names]
+    for name in loops.joints:
+        _check_name(loops.path, "joint_name", name, names[1:], "joint")
+    if loops.path:
+        frames = [str(frame.name) for frame in raw.frames][1:]
+        for loop in loops.loops:
+            assert isinstance(loop, Loop)
+            for frame in (loop.frame_a, loop.frame_b):
+                _check_name(loops.path, "closed_loop", frame, frames, "link or frame")
+    chains = {
+        names.index(name): _joints_of(name, kind)
+        for name, kind in loops.joints.items()
+        if kind != "FIXED"
+    }
+    if not chains:
+        return raw
+    model = rebuild(raw, replaced=chains)
+    copy_losses(raw, model, dict.fromkeys(chains, ()))
+    return model
+
+
+def _check_name(path: str, key: str, name: str, known: list[str], what: str) -> None:
+    if name not in known:
+        raise InputError(
+            f"{path}: {key}: the robot has no {what} {quoted(name)}; "
+            f"{nearest(name, known)}the names are {listed(known, 60)}"
+        )
+
+
+def _joints_of(name: str, kind: str) -> list[NewJoint]:
+    """Return the joints that replace a joint of the URDF."""
+    here = pin.SE3.Identity()
+    if kind == "SPHERICAL":
+        return [NewJoint(name, pin.JointModelSpherical(), here)]
+    axes = "XY" if kind == "CARDAN" else kind[-2:]
+    return [NewJoint(f"{name}_{axis}", _HINGES[axis](), here) for axis in axes]

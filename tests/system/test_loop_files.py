@@ -13,8 +13,7 @@ import pinred
 import pinred.forces
 from pinred.cli.main import main
 from pinred.common.errors import InputError, LoadError, MissingPackageError
-from pinred.system.loops.loop import Loop
-from pinred.system.loops.loop_file import read_loop_file
+from pinred.system.loops.loop import Loop, read_loop_file
 from pinred.views.playback.drawn_bodies import drawn_bodies
 
 YAML = """\

@@ -12,7 +12,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError, LoadError, PinredError
 from ...common.files import is_file
 from ...system.load import load
-from ...system.loops.loop_file import SUFFIXES
+from ...system.loops.loop import SUFFIXES
 from ...system.robot_files import bundled_robots
 from ...system.system import System
 from ..scene_options import LOAD, RUN_OPTIONS, SCENE_OPTIONS, SWEEP, Option, list_conflicts
