@@ -11,9 +11,9 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import SymmetryError
 from ..common.waiting import Wait
-from ..reduction.casimirs import casimirs
 from ..reduction.cyclic_joints import cyclic_of
 from ..reduction.pointwise_reduction import PointwiseReduction, ReducedShape, bracket_term
+from ..reduction.poisson_brackets import casimirs
 from ..reduction.potential import broken_by_gravity
 from ..reduction.symmetric_balls import SymmetricBall, symmetric_balls
 from ..scene.file_forces import actuators_left_out, passive_left_out

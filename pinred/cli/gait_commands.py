@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
+from .command_files import describe_file, save_figure, write_plan, write_series
 from .command_options import (
     ROBOT,
     add_options,
@@ -20,7 +21,6 @@ from .command_options import (
     source_of,
     system_of,
 )
-from .output_files import describe_file, save_figure, write_plan, write_series
 
 if TYPE_CHECKING:
     from ..analysis.gaits.gait import Gait

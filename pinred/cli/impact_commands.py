@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
+from .command_files import check_robot, describe_file, motion_in, print_report
 from .command_options import add_options, option_adder, options_in
-from .motion_files import check_robot, motion_in
-from .output_files import describe_file, print_report
 
 if TYPE_CHECKING:
     from ..scene.toml.schema import Key

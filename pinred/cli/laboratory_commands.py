@@ -171,7 +171,7 @@ def _draw(folder: Path, results: Sequence[WorkPrecision]) -> None:
 
     try:
         from ..views.plots import work_precision
-        from .output_files import save_figure
+        from .command_files import save_figure
     except MissingPackageError as error:
         print(f"no figures: {error}")
         return

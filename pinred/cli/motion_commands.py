@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
 from ..common.names import listed, quoted
+from .command_files import describe_file, print_report
 from .command_options import (
     add_options,
     add_parameters,
@@ -26,7 +27,6 @@ from .command_options import (
     parameters_in,
     scene_of,
 )
-from .output_files import describe_file, print_report
 
 if TYPE_CHECKING:
     from ..scene.scene import Scene
@@ -191,7 +191,7 @@ def _balances(traj: Trajectory) -> list[tuple[str, str]]:
 
 def add_simulate_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    from ..scene.option_checks import EVEN_TIMES
+    from ..scene.input_formats import EVEN_TIMES
     from ..scene.scene_options import RUN_OPTIONS
 
     add_robot(sub)

@@ -9,10 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError, PinredError
-from .command_options import add_options, add_robot, option_adder, options_in, system_of
-from .motion_files import show_motion
-from .option_values import by_joint_in, numbers_in
-from .output_files import describe_file, save_figure
+from .command_files import describe_file, save_figure, show_motion
+from .command_options import (
+    add_options,
+    add_robot,
+    by_joint_in,
+    numbers_in,
+    option_adder,
+    options_in,
+    system_of,
+)
 
 if TYPE_CHECKING:
     from ..analysis.equilibria.relative_equilibrium import Equilibria

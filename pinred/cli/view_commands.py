@@ -10,11 +10,13 @@ from ..common.errors import InputError
 from ..common.files import FIGURES
 from ..views.plots import KINDS, options_of
 from ..views.plots.by_kind import DEFAULT_KIND, draw
+from .command_files import check_robot, describe_file, motion_in, save_figure, show_motion
 from .command_options import (
     add_options,
     add_parameters,
     add_robot,
     add_source,
+    numbers_in,
     option_adder,
     parameters_in,
     refuse_of_robots,
@@ -22,9 +24,6 @@ from .command_options import (
     source_of,
     system_of,
 )
-from .motion_files import check_robot, motion_in, show_motion
-from .option_values import numbers_in
-from .output_files import describe_file, save_figure
 
 if TYPE_CHECKING:
     from ..scene.toml.schema import Key

@@ -11,8 +11,8 @@ import numpy as np
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError
 from ..common.parameter import Parameter
-from ..system.actuator import Actuator
 from ..system.ball_forces import rotation_vector
+from ..system.robot_file_contents import Actuator
 from .force import Action, Named, Symbols, Terms, acting_value, signals_in
 from .signals import Signal
 

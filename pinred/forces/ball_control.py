@@ -11,8 +11,8 @@ import casadi as ca
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError
 from ..common.parameter import Parameter
-from ..system.attitude import attitude_of
 from ..system.force_interface import finite
+from ..system.joints import attitude_of
 from .force import Limit, Named, Symbols, Terms, limited
 from .prescribed_joints import signals_of
 from .signals import Attitude, Signal

@@ -13,8 +13,8 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats, positive
 from ..common.errors import InputError
 from ..common.names import brief
-from ..system.actuator import Actuator
 from ..system.force_interface import SeenState
+from ..system.robot_file_contents import Actuator
 from .actuation import actuator_terms
 from .force import Limit, Named, Symbols, Terms, checked, limited, takes_state
 

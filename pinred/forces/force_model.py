@@ -30,15 +30,13 @@ from .columns import (
     wrench_column,
 )
 from .force import Force, Terms
-from .force_numbers import ForceNumbers, RobotSymbols, numbers_of, random_numbers
-from .force_values import Acting, ForceInputs, Prescribed
-from .function_buffers import Numeric
+from .force_numbers import ForceNumbers, RobotSymbols, Tables, numbers_of, random_numbers
+from .force_values import Acting, ForceInputs, Numeric, Prescribed
 from .kinds import Controller
 from .link_wrenches import of_load
 from .prescribed_joints import Plan, prescribed_motion, prescribed_rates, signals_of
 from .signals import Signal
 from .signals.tabulated import Table
-from .span_numbers import Tables
 from .switch_times import KINKS, SwitchTimes, separate, time_within
 from .time_functions import TimeFunctions
 

@@ -22,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from ..forces.function_buffers import FunctionBuffers
+from ..forces.force_values import FunctionBuffers
 from ..system.loops.kinematics import LoopKinematics
 from ..system.singular_mass_matrix import SingularShapes, singular_shapes
 from ..system.system import System

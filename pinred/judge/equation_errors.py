@@ -31,9 +31,8 @@ from ..common.arrays import Array
 from ..common.errors import InputError
 from ..reduction.inertia_split import symmetric
 from ..simulation.trajectory import Trajectory
-from ..system.scale import moved_masses
 from ..system.state_fields import State
-from ..system.system import System
+from ..system.system import System, moved_masses
 from .reference_solution import SPREAD_MARGIN, FullState
 from .system_totals import gravity_load_sizes
 

@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..forces.force_values import BaseInSpace
-from ..kernels.loads_by_pinocchio import LoadsByPinocchio
+from ..kernels.pinocchio_terms import LoadsByPinocchio
 from ..scene.scene import Scene
 from ..simulation.plan import stops_of
 from ..simulation.sample import Sample

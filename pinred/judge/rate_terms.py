@@ -15,7 +15,7 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..forces.force_model import ForceModel
-from ..forces.function_buffers import FunctionBuffers
+from ..forces.force_values import FunctionBuffers
 from ..system.coordinates import Indices
 from .coupling_constraints import CouplingConstraints
 from .full_coordinates import Configuration, RootMotion, normalise

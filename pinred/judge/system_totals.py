@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from ..system.scale import moved_masses
+from ..system.system import moved_masses
 from .full_coordinates import RootMotion
 
 # Levi-Civita symbol: a × b = Σ ε_ijk a_j b_k.

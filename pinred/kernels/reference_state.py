@@ -18,9 +18,8 @@ from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.free_bodies import Freed, free_numbers, other_placement
 from ..system.loops.loop_assembly import CLOSED, assemble
 from ..system.loops.looped_system import loop_jacobian
-from ..system.scale import moved_masses, radius_of_gyration
-from ..system.system import in_gravity, with_numbers
-from .loops_by_pinocchio import with_closed_loops
+from ..system.system import in_gravity, moved_masses, radius_of_gyration, with_numbers
+from .pinocchio_terms import with_closed_loops
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel

@@ -23,9 +23,8 @@ from ..reduction.potential import translations
 from ..reduction.tree.loop_constraints import GAUGE_RATE
 from ..system.joints import axes_of
 from ..system.loops.looped_system import loop_jacobian_rate
-from ..system.scale import ill_scaled
-from .loads_by_pinocchio import LoadsByPinocchio
-from .loops_by_pinocchio import closed_solver, impetus_terms
+from ..system.system import ill_scaled
+from .pinocchio_terms import LoadsByPinocchio, closed_solver, impetus_terms
 from .reference_state import ReferenceState, random_state
 
 if TYPE_CHECKING:

@@ -14,9 +14,8 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import SymmetryError
 from ..system.joints import axes_of
-from ..system.loops.loop_closure import loop_rates
-from ..system.scale import radius_of_gyration
-from ..system.system import System
+from ..system.loops.loop_assembly import loop_rates
+from ..system.system import System, radius_of_gyration
 from .pointwise_reduction import PointwiseReduction
 from .potential import pivot_weight
 

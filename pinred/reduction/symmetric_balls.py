@@ -17,9 +17,8 @@ import pinocchio as pin
 
 from ..common.arrays import Array, read_only
 from ..system.coordinates import PlacedJoint
-from ..system.loops.loop_closure import loop_rates
-from ..system.scale import radius_of_gyration
-from ..system.system import System
+from ..system.loops.loop_assembly import loop_rates
+from ..system.system import System, radius_of_gyration
 
 _NO_DEPENDENCE = 1e-12  # largest asymmetry that counts as zero, relative to the body's inertia
 _ROUND_OFF = 2e-14  # largest round-off of an asymmetry, relative to mass times the robot's size²

@@ -13,8 +13,7 @@ from ..common.arrays import Array
 from ..common.errors import InputError, LoopWarning
 from ..common.names import listed, quoted
 from ..reduction.pointwise_reduction import PointwiseReduction
-from ..system.loops.loop_assembly import CLOSED, assemble, describe_gap, loop_gaps
-from ..system.loops.loop_closure import project_rates
+from ..system.loops.loop_assembly import CLOSED, assemble, describe_gap, loop_gaps, project_rates
 from ..system.system import System
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ import numpy as np
 from ..common.memo import recent
 from ..forces.force_model_cache import NotKeyedError
 from ..system.system import System
-from .option_checks import list_forces
+from .input_formats import list_forces
 from .scene import Scene
 from .scene_options import ARRAYS_OF_STATE
 from .scene_structure import MOST_STRUCTURES, is_empty_table, key_of_option

@@ -49,13 +49,13 @@ from .file_forces import (
     passive_left_out,
 )
 from .initial_state import GivenStates, Start, order_by_joint, random_state, refuse_vague, start_of
-from .loop_states import HeldJoints, closed_state, held_joints
-from .option_checks import (
+from .input_formats import (
     check_keyframe,
     check_span,
     compute_report_times,
     list_forces,
 )
+from .loop_states import HeldJoints, closed_state, held_joints
 from .scene_options import (
     ARRAYS_OF_STATE,
     HELD,

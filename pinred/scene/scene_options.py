@@ -33,7 +33,7 @@ from ..system.loops.loop import KINDS
 from ..system.system import System
 from .event import EVENT_TABLE, Event
 from .initial_state import DURATION
-from .option_checks import EVEN_TIMES
+from .input_formats import EVEN_TIMES
 from .stop import STOPS, Stop
 from .toml.file_place import Place
 from .toml.force_kinds import FORCE

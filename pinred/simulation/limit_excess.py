@@ -14,7 +14,7 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.memo import is_first, once
 from ..common.names import listed
-from ..scene.option_checks import list_forces
+from ..scene.input_formats import list_forces
 from ..system.robot_file_contents import StatedLimit
 from ..system.stated_limits import limits_of
 from ..system.system import nominal

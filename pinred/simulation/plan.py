@@ -17,7 +17,7 @@ from ..common.arrays import Array, read_only
 from ..common.errors import SymmetryError
 from ..common.memo import once
 from ..forces.force_model import ForceModel, touched_by
-from ..forces.span_numbers import SpanNumbers
+from ..forces.force_numbers import SpanNumbers
 from ..forces.switch_times import ROUND_OFF
 from ..integrators.methods import EqualSteps, ErrorControl, Method
 from ..kernels.state_layout import Layout, Structure, layout_of

@@ -28,7 +28,7 @@ from ..forces.tracking import PD, ComputedTorque
 from ..integrators.methods import ErrorControl
 from ..reduction.inertia_split import symmetric
 from ..reduction.pointwise_reduction import PointwiseReduction
-from ..scene.option_checks import list_forces
+from ..scene.input_formats import list_forces
 from ..scene.scene import Scene
 from ..scene.stop import Bound
 from ..system.coordinates import Indices

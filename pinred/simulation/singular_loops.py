@@ -11,8 +11,7 @@ from ..common.arrays import Array
 from ..common.errors import IntegrationError
 from ..common.names import listed
 from ..reduction.tree.loop_constraints import jacobian_function
-from ..system.loops.loop_assembly import rate_units
-from ..system.loops.loop_closure import singularity
+from ..system.loops.loop_assembly import rate_units, singularity
 from ..system.loops.looped_system import loop_kinematics
 from ..system.system import System
 

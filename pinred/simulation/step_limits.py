@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..common.arrays import Array, read_only
 from ..common.memo import recent
 from ..forces.force_model import ForceModel
-from ..forces.span_numbers import SpanNumbers
+from ..forces.force_numbers import SpanNumbers
 from ..forces.switch_times import time_within
 from ..system.coordinates import Indices
 

@@ -24,8 +24,10 @@ _SIGNATURE = 32  # bytes of the HMAC-SHA256 of the sweep and the scene, at the s
 _MOST_BYTES = 2**30  # largest accepted size of the file [bytes]
 # Former modules of stored classes, by which older stores name them.
 _MOVED = {
+    "pinred.system.actuator": "pinred.system.robot_file_contents",
     "pinred.system.elementary_joints": "pinred.system.joints",
     "pinred.system.shape_space": "pinred.system.coordinates",
+    "pinred.system.visuals": "pinred.system.robot_files",
 }
 _REMEDY = "Call pinred.sweep with the scene and the same store, which computes nothing again"
 

@@ -25,8 +25,8 @@ from ..common.arrays import Array, as_floats, dimensions, read_only
 from ..common.errors import InputError
 from ..common.names import brief, plain
 from ..common.parameter import Parameter
-from .attitude import attitude_of
 from .force_interface import Force, Symbols, Terms, finite
+from .joints import attitude_of
 
 if TYPE_CHECKING:
     import casadi as ca

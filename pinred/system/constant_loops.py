@@ -23,8 +23,7 @@ from .coordinates import ShapeSpace, coordinate_map
 from .coupling import Coupled, coupled
 from .loops.kinematics import LoopKinematics
 from .loops.loop import Constraint, Loop
-from .loops.loop_assembly import CLOSED, NEARBY, assemble, loop_angle, rate_units
-from .loops.loop_closure import singularity
+from .loops.loop_assembly import CLOSED, NEARBY, assemble, loop_angle, rate_units, singularity
 from .robot_file_contents import Coupling
 from .system import System
 

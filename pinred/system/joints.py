@@ -9,6 +9,8 @@ slides, and those of so(3) for balls.  All other joints are split into these at 
 Consecutive joints at the root can form one joint of a group.  Examples are a planar joint and a
 slide along its normal, two slides and a hinge normal to them, or three slides and three hinges.
 The links between them are massless, so only the motion of the last link matters.
+
+Users write attitudes of balls as rotation vectors or quaternions.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array
+from ..common.arrays import Array, as_floats, read_only
+from ..common.errors import InputError
+from ..common.names import brief
 from ..lie.group import Group
 from ..lie.groups import GROUPS, SE3, SO2, SO3, R
 from ..lie.rotations import (
@@ -280,3 +284,28 @@ def _is_permutation(matrix: Array) -> bool:
     rounded = np.rint(matrix)
     once = (rounded.sum(axis=0) == 1.0).all() and (rounded.sum(axis=1) <= 1.0).all()
     return bool(once and np.abs(matrix - rounded).max() <= _ALONG)
+
+
+def attitude_of(value: Any, what: str) -> Array:
+    """Return the unit quaternion (x, y, z, w) of an attitude.
+
+    Args:
+        value: Rotation vector, (3,) [rad], or quaternion (x, y, z, w) of any length.
+        what: Name of the value in messages.
+    Returns:
+        The quaternion, (4,).
+    Raises:
+        InputError: The value is neither, is not finite, or is zero.
+    """
+    numbers = as_floats(value, what)
+    if numbers.shape not in ((3,), (4,)) or not np.isfinite(numbers).all():
+        raise InputError(
+            f"{what}: expected a rotation vector of 3 finite numbers or a quaternion "
+            f"(x, y, z, w), got {brief(value)}"
+        )
+    if numbers.shape == (3,):
+        return read_only(quaternion_exp(numbers))
+    length = float(np.linalg.norm(numbers))
+    if not length > 0.0:
+        raise InputError(f"{what}: expected a quaternion other than zero, got {brief(value)}")
+    return read_only(numbers / length)

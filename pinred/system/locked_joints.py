@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, as_floats, entries_of
 from ..common.errors import InputError
 from ..common.names import brief, listed, quoted
-from .attitude import attitude_of
-from .joints import joint_configuration
+from .joints import attitude_of, joint_configuration
 
 # Value of a locked joint [rad | m].  The attitude of a ball is a rotation vector of three numbers
 # [rad], or a quaternion (x, y, z, w) of any length; zero is the attitude at rest.

@@ -28,7 +28,7 @@ from .body_parameters import (
 )
 from .locked_joints import LockedJoints, moments_of
 from .loops.loop import Loop
-from .loops.loop_closure import moving_joints
+from .loops.loop_assembly import moving_joints
 from .system import System, in_gravity, nominal, with_numbers
 
 SIZES = {"placement": 6, "translation": 3, "lock": 1}

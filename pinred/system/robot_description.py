@@ -17,7 +17,7 @@ from ..common.arrays import Array, as_floats, positive, read_only, vector
 from ..common.errors import InputError, ShapeError
 from ..common.files import check_path, write_atomic
 from ..common.names import brief, listed, nearest, quoted
-from .attitude import attitude_of
+from .joints import attitude_of
 
 BodyJoint: TypeAlias = Literal["", "hinge", "slide", "ball", "fixed"]
 

@@ -18,8 +18,8 @@ from pinred.common.arrays import Array
 from pinred.common.errors import InputError
 from pinred.forces import Limit, Torque
 from pinred.forces.force_model import ForceModel
+from pinred.forces.force_numbers import Tables
 from pinred.forces.signals import tabulated
-from pinred.forces.span_numbers import Tables
 from pinred.judge.full_dynamics import FullDynamics
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Hold, Linear, Spline

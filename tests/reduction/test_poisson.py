@@ -16,8 +16,8 @@ import pinred
 from pinred import poisson
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS
-from pinred.reduction import casimirs
-from pinred.reduction.casimirs import momentum_tensor
+from pinred.reduction import poisson_brackets
+from pinred.reduction.poisson_brackets import momentum_tensor
 
 NINE = np.array([3, -32, 168, -672, 0, 672, -168, 32, -3]) / 840.0  # of differences, order 8
 
@@ -174,15 +174,15 @@ def test_casimirs_of_groups_commute_with_momenta(group: str) -> None:
 def test_casimirs_do_not_depend_on_tolerance(group: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Structure constants are whole numbers: 1e-13 and 1e-3 tell the same Casimirs from none."""
     for bound in (1e-13, 1e-3):
-        monkeypatch.setattr(casimirs, "_ZERO", bound)
-        found = casimirs.casimirs(make_case(group, 1, 0).system)
+        monkeypatch.setattr(poisson_brackets, "_ZERO", bound)
+        found = poisson_brackets.casimirs(make_case(group, 1, 0).system)
         assert [str(each) for each in found] == EXPECTED[group]
 
 
 def test_casimir_formula_shows_signs_and_sizes() -> None:
     """Signs, and coefficients other than one."""
-    assert casimirs._formula(np.array([2.0, -1.0, 0.0, -0.5]), "abcd") == "2 a − b − 0.5 d"
-    assert casimirs._formula(np.array([-1.0, 1.0]), "ab") == "− a + b"
+    assert poisson_brackets._formula(np.array([2.0, -1.0, 0.0, -0.5]), "abcd") == "2 a − b − 0.5 d"
+    assert poisson_brackets._formula(np.array([-1.0, 1.0]), "ab") == "− a + b"
 
 
 @pytest.mark.parametrize(("form", "momentum"), [("connection", "p"), ("canonical", "pi")])

@@ -43,13 +43,16 @@ STORED = {
     "pinred.system.loops.loop": "Loop",
     "pinred.system.loops.looped_system": "Closure",
     "pinred.system.passive": "Damper Friction Spring",
-    "pinred.system.robot_file_contents": "Contents LeftOut Origin",
+    "pinred.system.robot_file_contents": "Actuator Contents LeftOut Origin",
+    "pinred.system.robot_files": "Visuals",
     "pinred.system.system": "System",
 }
 
 FORMER = {
+    "pinred.system.actuator": "Actuator",
     "pinred.system.elementary_joints": "_named",
     "pinred.system.shape_space": "PlacedJoint ShapeSpace",
+    "pinred.system.visuals": "Visuals",
 }
 
 

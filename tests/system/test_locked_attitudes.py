@@ -14,7 +14,7 @@ from ball_trees import ball_tree
 from test_merge_hinges import tree as hinged_tree
 
 import pinred
-from pinred.cli.option_values import lock_in
+from pinred.cli.command_options import lock_in
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, LoadError, PinredError
 from pinred.lie.rotations import quaternion_exp

@@ -136,19 +136,18 @@ class Curve:
         v = W @ vectors[:, int(np.argmin(np.abs(values)))]
         return np.asarray(v / np.linalg.norm(v))
 
-    def ambient(self, here: CurvePoint, local: Array, momentum: float = 0.0) -> Array:
+    def ambient(self, here: CurvePoint, local: Array) -> Array:
         """Convert a direction (u,) to the coordinates (k,) of tangents.
 
         Args:
             here: Point where the direction is defined.
             local: Direction in (x, tangent coordinates of the sphere), (u,).
-            momentum: Component along J.
         Returns:
-            Direction in (x, n, J), (k,).
+            Direction in (x, n, J), (k,), with component zero along J.
         """
         ma = here.points.dimension
         n_direction = tangents(here.n[None])[0] @ local[ma:] if here.n.size else np.zeros(0)
-        return np.concatenate([local[:ma], n_direction, [momentum]])
+        return np.concatenate([local[:ma], n_direction, [0.0]])
 
     def _point(self, point: Points, J: float, e: Energies, along: Array) -> CurvePoint:
         """Return the curve point at a solution, with the unit tangent closest to a direction.

@@ -26,7 +26,7 @@ from ...lie.rotations import (
     quaternion_product,
     unwrapped_rotation_vectors,
 )
-from ...system.attitude import attitude_of
+from ...system.joints import attitude_of
 from .formulas import Constant, Expression
 from .signal import Signal
 from .tabulated import Hold, Linear, Spline

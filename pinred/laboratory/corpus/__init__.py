@@ -2,5 +2,5 @@
 
 `corpus_entry` finds the descriptions. `trial` tries one description: it decides without pinred's
 readers whether the description should work, and `second_reader` compares it with MuJoCo's reading.
-`worker` isolates trials in a child process. `run_corpus` builds the table of outcomes.
+`run_corpus` isolates trials in child processes and builds the table of outcomes.
 """

@@ -10,8 +10,8 @@ import numpy as np
 from ...common.arrays import Array, read_only
 from ...common.errors import InputError
 from ...common.memo import once, recent
+from ...forces.force_numbers import SpanNumbers
 from ...forces.force_values import BaseInSpace
-from ...forces.span_numbers import SpanNumbers
 from ...forces.switch_times import time_within
 from ...integrators.methods import Method
 from ...kernels.build import build_kernel

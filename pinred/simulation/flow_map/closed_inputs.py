@@ -24,8 +24,7 @@ from ...common.errors import InputError
 from ...common.names import listed
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...scene.loop_states import HeldJoints, closed_rates, closed_shape
-from ...system.loops.loop_assembly import rate_units
-from ...system.loops.loop_closure import loop_rates
+from ...system.loops.loop_assembly import loop_rates, rate_units
 from ...system.loops.looped_system import loop_jacobian, loop_jacobian_rate
 from ...system.system import System
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ...forces.span_numbers import Tables
+from ...forces.force_numbers import Tables
 from ...kernels.derived_code import expect_code
 from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate

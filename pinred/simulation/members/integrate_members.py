@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import AccuracyWarning
-from ...forces.span_numbers import SpanNumbers
+from ...forces.force_numbers import SpanNumbers
 from ...integrators.integrate_many import STATUS, Solutions, integrate_many
 from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import ErrorControl, Explicit, Method

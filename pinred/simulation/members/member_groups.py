@@ -10,7 +10,7 @@ import numpy as np
 
 from ...common.errors import InputError
 from ...common.names import brief
-from ...forces.span_numbers import tables_of_runs
+from ...forces.force_numbers import tables_of_runs
 from ...integrators.methods import DOP853_LEAST, AdaptiveGauss, Radau
 from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...common.arrays import Array
-from ..actuator import Actuator
+from ..robot_file_contents import Actuator
 from .mujoco_joints import acts_on_joint
 from .package import mujoco_package
 from .tree import Tree

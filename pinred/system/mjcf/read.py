@@ -13,10 +13,9 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.errors import ModelError
 from ...lie.group import Group
-from ..actuator import Actuator
 from ..locked_joints import LockedJoints, LockValue, separate_attitudes
 from ..merge_hinges import Merge, coupled_joints, locked_hinges, merge_of, unlocked_balls
-from ..robot_file_contents import Contents, Coupling, Keyframe
+from ..robot_file_contents import Actuator, Contents, Coupling, Keyframe
 from .actuators import actuators_of
 from .compile import compiled
 from .equality_constraints import constraints_of, held_joints, locked_with_followers

@@ -1,10 +1,12 @@
-"""Results of commands: figures and other files, their messages, and comparisons."""
+"""Files of commands: motions that they read, and figures, tables and messages that they write."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from ..common.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -14,6 +16,8 @@ if TYPE_CHECKING:
     from ..planning.optimisation.best_gait import BestGait
     from ..planning.reorientation.flight_plan import FlightPlan
     from ..planning.reorientation.turn_plan import TurnPlan
+    from ..views.motion_source import MotionSource
+    from ..views.playback.view_options import View
 
 _NO_DATE: dict[str, dict[str, Any]] = {  # Without a date, equal figures produce equal files.
     ".png": {},
@@ -97,3 +101,63 @@ def write_plan(
             write_data(path)
         print(describe_file(path))
     return print_report(plan.report) if compare else 0
+
+
+def motion_in(path: str, robot: str | None) -> MotionSource:
+    """Return the motion in a .npz file, or simulate a scene file.
+
+    `robot` names the robot of a .npz file that does not name one itself.
+    """
+    check_robot(path, robot)
+    if Path(path).suffix == ".npz":
+        from ..simulation.recording import read_recording
+
+        return read_recording(path, robot)
+    from ..scene.toml.reader import read_scene_file
+    from ..simulation.simulate import simulate
+
+    file = read_scene_file(path)
+    return simulate(file.scene, engine=file.engine, check=file.check, progress=True)
+
+
+def show_motion(
+    motion: MotionSource, out: Path | None, view: View, *, viewer: str | None = None,
+    port: int | None = None, show: bool = True,
+) -> None:  # fmt: skip
+    """Play a motion in a browser, or write it as a page, a recording for rerun, or a film.
+
+    Args:
+        motion: The motion.
+        out: File to write; None to play.
+        view: Options of the view.
+        viewer: Name of the viewer; the default one if None.
+        port: Port of the web server; any free one if None.
+        show: Whether to open the browser.
+    """
+    if out is None:
+        from ..views.playback.play_in_viewer import play_in_viewer
+        from ..views.playback.viewers import VIEWER
+
+        name = viewer or VIEWER
+        play_in_viewer(motion, view, viewer=name, port=port, show=show, wait=True)
+    elif out.suffix == ".html":
+        from ..views.playback.page import save_html
+
+        print(f"written to {out} ({save_html(motion, out, view) / 1e6:.2f} MB)")
+    elif out.suffix == ".rrd":
+        from ..views.playback.rerun_file import save_rrd
+
+        print(f"written to {out} ({save_rrd(motion, out, view) / 1e6:.2f} MB)")
+    else:
+        from ..common.progress import ProgressBar
+        from ..views.playback.film import save_film
+
+        with ProgressBar("film   ", what="renders a film") as bar:
+            count = save_film(motion, out, view, progress=bar)
+        print(f"{count} frames written to {out}")
+
+
+def check_robot(source: str, robot: str | None) -> None:
+    """Raise InputError for the option --robot with any source except a .npz file."""
+    if robot is not None and Path(source).suffix != ".npz":
+        raise InputError(f"--robot applies to .npz files only; '{source}' names its robot")
