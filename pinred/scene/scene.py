@@ -48,14 +48,23 @@ from .file_forces import (
     check_passive,
     passive_left_out,
 )
-from .initial_state import GivenStates, Start, order_by_joint, random_state, refuse_vague, start_of
+from .initial_state import (
+    GivenStates,
+    HeldJoints,
+    Start,
+    closed_state,
+    held_joints,
+    order_by_joint,
+    random_state,
+    refuse_vague,
+    start_of,
+)
 from .input_formats import (
     check_keyframe,
     check_span,
     compute_report_times,
     list_forces,
 )
-from .loop_states import HeldJoints, closed_state, held_joints
 from .scene_options import (
     ARRAYS_OF_STATE,
     HELD,

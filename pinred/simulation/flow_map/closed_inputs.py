@@ -23,7 +23,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.names import listed
 from ...reduction.pointwise_reduction import PointwiseReduction
-from ...scene.loop_states import HeldJoints, closed_rates, closed_shape
+from ...scene.initial_state import HeldJoints, closed_rates, closed_shape
 from ...system.loops.loop_assembly import loop_rates, rate_units
 from ...system.loops.looped_system import loop_jacobian, loop_jacobian_rate
 from ...system.system import System
