@@ -148,6 +148,47 @@ def limbed_model(group: str, limbs: int, joints: int, seed: int) -> pin.Model:
     return model
 
 
+def unequal_limbs_model(group: str, limbs: int, joints: int, seed: int) -> pin.Model:
+    """Return a trunk of three bodies with limbs of different lengths on any of them.
+
+    Joints at one depth are of the same type, with exceptions. Some limbs fork.
+
+    Args:
+        group: Name of the symmetry group.
+        limbs: Number of limbs.
+        joints: Largest number of joints per limb.
+        seed: Seed of the tree.
+    """
+    rng = np.random.default_rng(seed)
+    model = pin.Model()
+    model.name = f"unequal-{group}-{limbs}-{joints}-{seed}"
+    model.gravity.setZero()
+    types = [JOINTS[k] for k in rng.integers(len(JOINTS), size=joints)]
+
+    def add(parent: int, joint: pin.JointModel, name: str) -> int:
+        place = pin.SE3.Identity() if rng.random() < 0.2 else placement(rng)
+        i: int = model.addJoint(parent, joint, place, name)
+        model.appendBodyToJoint(i, inertia(rng), pin.SE3.Identity())
+        return i
+
+    trunk = [model.addJoint(0, ROOTS[group][0](rng), pin.SE3.Identity(), "root")]
+    model.appendBodyToJoint(trunk[0], inertia(rng), pin.SE3.Identity())
+    for k in range(2):
+        trunk.append(add(trunk[-1], pin.JointModelRX(), f"trunk{k}"))
+    for limb in range(limbs):
+        above = trunk[int(rng.integers(3))]
+        for k in range(int(rng.integers(1, joints + 1))):
+            kind = types[k] if rng.random() < 0.9 else JOINTS[int(rng.integers(len(JOINTS)))]
+            tip = add(above, kind(rng), f"limb{limb}.{k}")
+            if rng.random() < 0.15:
+                add(above, kind(rng), f"fork{limb}.{k}")
+            above = tip
+    values = np.zeros(model.nv)
+    values[model.joints[1].nv :] = rng.choice([0.0, 0.05], model.nv - model.joints[1].nv)
+    model.armature = values
+    return model
+
+
 def varied(value: Array, rng: Rng, *, may_vanish: bool = True) -> Array:
     """Return numbers that are kept, negated, replaced or set to zero, independently per entry.
 

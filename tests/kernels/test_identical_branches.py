@@ -1,9 +1,10 @@
-"""Tests of identical branches in SIMD lanes, against Pinocchio and NumPy."""
+"""Tests of identical branches and joined limbs in SIMD lanes, against Pinocchio and NumPy."""
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import groups, seeds
-from trees import limbed_model, mirrored_model
+from trees import inertia, limbed_model, mirrored_model, placement, unequal_limbs_model
 
 import pinred
 from pinred.common.arrays import Array
@@ -29,7 +30,7 @@ from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
 from pinred.simulation.plan import plan_of
 
-MADE = [limbed_model, mirrored_model]
+MADE = [limbed_model, mirrored_model, unequal_limbs_model]
 POINTER = ctypes.POINTER(ctypes.c_double)
 
 
@@ -115,6 +116,42 @@ def test_identical_branches_are_grouped() -> None:
             assert link.parent < k
 
 
+@pytest.mark.parametrize(
+    ("lengths", "expected"),
+    [
+        ({"root": [3, 3], "spine": [4, 4]}, [1, 1, 2, 4, 4, 4]),  # legs and arms
+        ({"root": [3], "spine": [2, 1]}, [1, 1, 1, 1, 2, 2]),
+        ({"root": [2], "spine": [1, 1]}, [1, 1, 1, 1, 2]),  # one pair of joints is not worth it
+        ({"root": [3, 3, 3], "spine": [2, 2]}, [1, 1, 2, 2, 3, 3, 3]),  # five lanes are too many
+    ],
+)
+def test_limbs_of_different_lengths_are_joined(
+    lengths: dict[str, list[int]], expected: list[int]
+) -> None:
+    """Widths of all links of a robot with limbs on two bodies, sorted."""
+    rng, model = np.random.default_rng(1), pin.Model()
+
+    def add(parent: int, joint: pin.JointModel, name: str) -> int:
+        i: int = model.addJoint(parent, joint, placement(rng), name)
+        model.appendBodyToJoint(i, inertia(rng), pin.SE3.Identity())
+        return i
+
+    bodies = {"root": add(0, pin.JointModelFreeFlyer(), "root")}
+    bodies["spine"] = add(bodies["root"], pin.JointModelRY(), "spine")
+    for body, joints in lengths.items():
+        for limb, length in enumerate(joints):
+            above = bodies[body]
+            for k in range(length):
+                above = add(above, pin.JointModelRX(), f"{body}{limb}.{k}")
+    system = pinred.load(model)
+    links = links_of(bodies_of(system), Lanes(), ())
+    assert sorted(len(link.lanes) for link in links) == expected
+    for i, link in enumerate(links[1:], 1):
+        above_each = [links[k].lanes[lane] for k, lane in link.parents]
+        assert above_each == [bodies_of(system)[k].parent for k in link.lanes]
+        assert all(k < i for k, _ in link.parents)
+
+
 @pytest.mark.by_hand
 @settings(max_examples=8)
 @given(groups, st.integers(2, 6), st.integers(1, 4), seeds, st.sampled_from(MADE))
@@ -122,7 +159,29 @@ def test_kernels_with_identical_branches_equal_readable_route(
     group: str, limbs: int, joints: int, seed: int, made: Callable[..., pin.Model]
 ) -> None:
     """Any group, branches and joints, with and without springs."""
-    system = pinred.load(made(group, limbs, joints, seed))
+    check_rate(pinred.load(made(group, limbs, joints, seed)), seed)
+
+
+@pytest.mark.parametrize(("group", "seed"), [("SE3", 2), ("SO2", 5), ("SE2", 11)])
+def test_kernels_with_joined_limbs_equal_readable_route(group: str, seed: int) -> None:
+    """Limbs of different lengths, on different bodies, with forks; also with prescribed joints."""
+    system = pinred.load(unequal_limbs_model(group, 6, 4, seed))
+    links = links_of(bodies_of(system), Lanes(), ())
+    assert any(len({i for i, _ in link.parents}) > 1 for link in links)
+    check_rate(system, seed)
+    rng = np.random.default_rng(seed)
+    driven = {name: "0.4*sin(1.3*t)" for name in system.shape_names if rng.random() < 0.4}
+    options: dict[str, Any] = {"xi0": rng.normal(size=system.r), "duration": 0.2}
+    fast, slow = (
+        pinred.simulate(system, prescribed=driven, engine=engine, **options)
+        for engine in ("compiled", "pinocchio")
+    )
+    np.testing.assert_allclose(fast.x, slow.x, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(fast.xi, slow.xi, rtol=0, atol=1e-7 * np.abs(slow.xi).max())
+
+
+def check_rate(system: pinred.System, seed: int) -> None:
+    """Compare the kernel's rate at a random state with Pinocchio's, with and without NaN."""
     rng = np.random.default_rng(seed)
     springs = dict.fromkeys(system.shape_names[::3], (1.5, 0.4))
     scene = pinred.Scene(
@@ -231,13 +290,11 @@ def test_derivatives_of_lane_operations_equal_casadi(width: int) -> None:
     assert found[-1] == 0.0  # a constant
 
 
-@pytest.mark.parametrize(("group", "limbs"), [("SE3", 2), ("SO3", 3), ("SE2", 4)])
+@pytest.mark.parametrize(("group", "limbs"), [("SE3", 2), ("SO3", 3), ("SE2", 4), ("SE3", 5)])
 def test_derivatives_with_identical_branches_equal_casadi(group: str, limbs: int) -> None:
     """CasADi's derivatives of the equations without lanes are the same."""
-    system, structure = (
-        pinred.load(limbed_model(group, limbs, 2, 1)),
-        Structure(zero_momentum=False),
-    )
+    made = unequal_limbs_model(group, 5, 3, 8) if limbs == 5 else limbed_model(group, limbs, 2, 1)
+    system, structure = pinred.load(made), Structure(zero_momentum=False)
     plain, lanes = ReducedGraph(system, structure).rate(), Lanes()
     rate = ReducedGraph(system, structure, lanes=lanes).rate()
     marks = lanes.marks[rate.name()]

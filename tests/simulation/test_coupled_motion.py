@@ -11,13 +11,16 @@ import pinocchio as pin
 import pytest
 from coupled_trees import make_case, multipliers
 from robot_texts import joint, link, robot, write
-from trees import limbed_model
+from trees import limbed_model, unequal_limbs_model
 
 import pinred
 from pinred import InputError
 from pinred.common.arrays import Array
 from pinred.forces import PD, ComputedTorque, Controller, Damper, Limit, Spring, Torque
 from pinred.kernels.build import model_bytes
+from pinred.reduction.tree.body_frames import bodies_of
+from pinred.reduction.tree.coupled_groups import Groups
+from pinred.reduction.tree.identical_branches import Lanes, links_of
 from pinred.system.robot_file_contents import Contents, Coupling
 
 Engine = Literal["compiled", "pinocchio"]
@@ -285,6 +288,22 @@ def test_random_states_respect_limits_of_followers(tmp_path: Path) -> None:
     x = np.array([pinred.Scene(system=system, seed=k).start.x for k in range(20)])
     assert (x <= 0.0).all()
     assert (x >= -0.01 / 3.0).all()
+
+
+@pytest.mark.parametrize("seed", [5, 11])
+def test_joined_limbs_beside_couplings_agree_with_aba(seed: int) -> None:
+    """Limbs without couplings are joined; a coupling joins another limb and the trunk."""
+    model, rng = unequal_limbs_model("SE3", 6, 4, seed), np.random.default_rng(seed)
+    names = [name for name in model.names if name.startswith("limb5")]
+    pair = (names[-1], names[0]) if len(names) > 1 else (names[0], "trunk1")
+    coupling = Coupling(pair[0], {pair[1]: float(rng.normal())}, 0.2)
+    system = pinred.System(model, "limbs", contents=Contents(couplings=(coupling,)))
+    members = Groups(bodies_of(system), {}, system.coupled).members
+    links = links_of(bodies_of(system), Lanes(), (), members)
+    assert any(len({i for i, _ in link.parents}) > 1 for link in links)
+    x0, xdot0 = rng.normal(size=(2, system.m))
+    a, b = (pinred.simulate(system, x0=x0, xdot0=xdot0, duration=0.2, engine=e) for e in ENGINES)
+    np.testing.assert_allclose(a.q, b.q, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -42,7 +42,7 @@ from .articulated_body import (
 )
 from .body_frames import Body, Freedom, cosine, sine
 from .coupled_groups import Groups
-from .identical_branches import Lanes, Link, links_of
+from .identical_branches import Lanes, Link, from_parents, links_of, to_parents
 from .scalars import (
     INDEX,
     Rotation,
@@ -247,8 +247,7 @@ def sweep(
                 groups.eliminate(i, freedom, joint.inner, solved_rate.drive)
                 joint = Eliminated(remainder, [*joint.rates, solved_rate], step)
         joints[i] = joint
-        width = len(link.lanes) if len(links[link.parent].lanes) == 1 else 1
-        _add(inertia[link.parent], carried(joint.inner, outer), lanes, width)
+        _add_to_parents(link, links, carried(joint.inner, outer), inertia, lanes)
         groups.add_to_parent(i, link.parent, outer)
     groups.close(0, inertia[0], pi)
     factors = [
@@ -266,7 +265,8 @@ def sweep(
     for i in range(1, len(links)):
         link, body, solved = links[i], links[i].body, joints[i]
         assert solved is not None
-        vi, wi = solved.step.fixed.outward(v[link.parent], w[link.parent])
+        vi, wi = (from_parents(link, links, values, lanes) for values in (v, w))
+        vi, wi = solved.step.fixed.outward(vi, wi)
         twists.append((vi, wi))
         if body.is_ball:
             vi, wi, *columns = _move_ball(groups, i, link, solved, (vi, wi), pi, lanes)
@@ -421,15 +421,17 @@ def _step(body: Body, angle: tuple[Scalar, Scalar], slide: Scalar) -> Step:
     )
 
 
-def _add(parent: Articulated, a: Articulated, lanes: Lanes, width: int) -> None:
-    """Add the inertia of a subtree, summed over the lanes, to the inertia of its parent."""
-
-    def both(p: Vec, q: Vec) -> Vec:
-        return [add(x, lanes.sum(y, width)) for x, y in zip(p, q, strict=True)]
-
-    parent.M, parent.I = both(parent.M, a.M), both(parent.I, a.I)
-    parent.B = [both(p, q) for p, q in zip(parent.B, a.B, strict=True)]
-    parent.lin, parent.ang = both(parent.lin, a.lin), both(parent.ang, a.ang)
+def _add_to_parents(
+    link: Link, links: list[Link], a: Articulated, inertia: list[Articulated], lanes: Lanes
+) -> None:
+    """Add the inertia of the subtree of a link to the inertias of its parents."""
+    sums = [to_parents(link, links, block, lanes) for block in (a.M, a.I, *a.B, a.lin, a.ang)]
+    for i in sums[0]:
+        M, I, *B, lin, ang = (block[i] for block in sums)
+        parent = inertia[i]
+        parent.M, parent.I = plus(parent.M, M), plus(parent.I, I)
+        parent.B = [plus(p, q) for p, q in zip(parent.B, B, strict=True)]
+        parent.lin, parent.ang = plus(parent.lin, lin), plus(parent.ang, ang)
 
 
 def _solve_root(

@@ -1,23 +1,25 @@
-"""Identical branches, such as both legs or both arms, computed together in SIMD lanes.
+"""Branches such as both legs, or legs and arms, computed together in SIMD lanes.
 
-Branches with equal joints share one sweep, whose symbols represent one number per branch.  CasADi
-does not distinguish such packed symbols from others.  Therefore a list of marks (see `Mark`)
-records where numbers are packed into lanes, and where lanes become plain numbers again: one lane,
-or the sum over all.  `lowering` generates vector instructions for packed
-expressions.
+Branches with equal joints share one sweep, whose symbols represent one number per branch.  Limbs
+that differ in length or in their parent share it as far as their joints are of the same types; the
+parent of each lane then has its own link and lane.  CasADi does not distinguish packed symbols from
+others.  Therefore a list of marks (see `Mark`) records where numbers are packed into lanes, and
+where lanes become plain numbers again: one lane, or the sum over all.  `lowering` generates vector
+instructions for packed expressions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 
 from .body_frames import Body
-from .scalars import Scalar
+from .scalars import Scalar, Vec, total
 
 WIDEST = 4  # largest number of lanes; a 256-bit register holds 4 doubles
+_LEAST_SHARED = 2  # smallest number of joints that limbs share if they are joined
 
 
 @dataclass(frozen=True)
@@ -44,24 +46,31 @@ class Link:
 
     Attributes:
         lanes: Indices of the bodies, one per lane.
-        parent: Index of the parent link, −1 for the root.
+        parents: Index of the link, and lane, of the parent of each body; −1 and 0 for the root.
         body: The body; constants that differ between lanes are packed.
     """
 
     lanes: tuple[int, ...]
-    parent: int
+    parents: tuple[tuple[int, int], ...]
     body: Body
+
+    @property
+    def parent(self) -> int:
+        """Index of the parent link, −1 for the root; that of the first lane if they differ."""
+        return self.parents[0][0]
 
 
 class Lanes:
     """The marks of one CasADi graph.
 
     Attributes:
+        joins: Whether limbs of different lengths or parents share lanes.
         marks: The marks that each Function needs, by its name.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, joins: bool = True) -> None:
         """Create an empty list of marks."""
+        self.joins = joins
         self.marks: dict[str, list[Mark]] = {}
         self._marks: list[Mark] = []
         self._symbols: list[ca.SX] = []
@@ -136,21 +145,159 @@ def links_of(
         The links.
     """
     if lanes is None:
-        return [Link((i,), body.parent, body) for i, body in enumerate(bodies)]
+        return [Link((i,), ((body.parent, 0),), body) for i, body in enumerate(bodies)]
     children: list[list[int]] = [[] for _ in bodies]
     for i in range(1, len(bodies)):
         children[bodies[i].parent].append(i)
     kinds = _branch_kinds(bodies, children, driven, coupled)
-    links: list[Link] = []
-    pending: list[tuple[tuple[int, ...], int]] = [((0,), -1)]
+    root = _Part((0,), None)
+    pending = [root]
     while pending:
-        members, parent = pending.pop()
-        merged = _merged([bodies[i] for i in members], lanes)
-        links.append(Link(members, parent, merged))
+        part = pending.pop()
+        members = part.members
         columns = [sorted(children[i], key=lambda child: (kinds[child], child)) for i in members]
         combined = list(zip(*columns, strict=True)) if len(members) > 1 else None
-        branches = _combine(columns[0], kinds) if combined is None else combined
-        pending += [(branch, len(links) - 1) for branch in branches]
+        for branch in _combine(columns[0], kinds) if combined is None else combined:
+            body, alone = bodies[branch[0]], branch[0] in coupled
+            joint = (body.kind.name, branch[0] in driven) if not (body.is_ball or alone) else None
+            part.branches.append(_Part(tuple(branch), joint))
+        pending += part.branches
+    parts = _with_joined_limbs(root) if lanes.joins else list(root)
+    return _ordered(parts, bodies, lanes)
+
+
+def from_parents(link: Link, links: Sequence[Link], values: Sequence[Vec], lanes: Lanes) -> Vec:
+    """Return numbers of the parent of each lane of a link; values: numbers of each link."""
+    if _is_aligned(link, links):
+        return values[link.parent]
+    return [
+        lanes.pack([lanes.lane(values[i][k], j, len(links[i].lanes)) for i, j in link.parents])
+        for k in range(len(values[link.parent]))
+    ]
+
+
+def to_parents(link: Link, links: Sequence[Link], values: Vec, lanes: Lanes) -> dict[int, Vec]:
+    """Return numbers of a link, summed for each lane of its parents, by parent link."""
+    width, parent = len(link.lanes), link.parent
+    if _is_aligned(link, links):
+        across = 1 if len(links[parent].lanes) == width else width
+        return {parent: [lanes.sum(value, across) for value in values]}
+    sums: dict[int, Vec] = {}
+    for i in dict.fromkeys(above for above, _ in link.parents):
+        own = [[k for k, place in enumerate(link.parents) if place == (i, lane)]
+               for lane in range(len(links[i].lanes))]  # fmt: skip
+        sums[i] = [
+            lanes.pack([total([lanes.lane(value, k, width) for k in group]) for group in own])
+            for value in values
+        ]
+    return sums
+
+
+def _is_aligned(link: Link, links: Sequence[Link]) -> bool:
+    """Return whether a link has the lanes of its parent, or one body as parent."""
+    width = len(links[link.parent].lanes)
+    if width == 1:
+        return len(set(link.parents)) == 1
+    return list(link.parents) == [(link.parent, lane) for lane in range(width)]
+
+
+@dataclass(eq=False)
+class _Part:
+    """Bodies of a link, before their constants are packed.
+
+    Attributes:
+        members: The bodies, one per lane.
+        joint: What the joints of other limbs need to have in common with those of the members;
+            None: the members are not joined with others.
+        branches: The parts behind it.
+    """
+
+    members: tuple[int, ...]
+    joint: object
+    branches: list[_Part] = field(default_factory=list)
+
+    def __iter__(self) -> Iterator[_Part]:
+        """Yield the part and all parts behind it, parents first."""
+        yield self
+        for branch in reversed(self.branches):
+            yield from branch
+
+    def __len__(self) -> int:
+        """Return the number of parts of the iteration."""
+        return 1 + sum(map(len, self.branches))
+
+    @property
+    def is_limb(self) -> bool:
+        """Whether all bodies behind it are in the same lanes, or in one chain."""
+        if any(part.joint is None for part in self):
+            return False
+        width = len(self.members)
+        return width > 1 or all(len(part.members) == 1 and len(part.branches) < 2 for part in self)
+
+    def matches(self, other: _Part) -> list[tuple[_Part, _Part]]:
+        """Return the branches of two parts, from these parts on, that can share lanes."""
+        too_wide = len(self.members) + len(other.members) > WIDEST
+        if too_wide or self.joint != other.joint:
+            return []
+        pairs = [(self, other)]
+        for a, b in zip(self._longest_first, other._longest_first, strict=False):
+            pairs += a.matches(b)
+        return pairs
+
+    def joined(self, other: _Part) -> _Part:
+        """Return a part with the lanes of two; behind it, what matches is joined, too."""
+        left, branches = [*self.branches, *other.branches], []
+        for a, b in zip(self._longest_first, other._longest_first, strict=False):
+            if a.matches(b):
+                branches.append(a.joined(b))
+                left = [branch for branch in left if branch not in (a, b)]
+        return _Part((*self.members, *other.members), self.joint, branches + left)
+
+    @property
+    def _longest_first(self) -> list[_Part]:
+        return sorted(self.branches, key=len, reverse=True)
+
+
+def _with_joined_limbs(root: _Part) -> list[_Part]:
+    """Return all parts of a tree, with limbs joined as long as this leaves fewer parts.
+
+    The sweep of a link costs about as much with four lanes as with one.  A single pair of joints is
+    not worth the additional operations on lanes.
+    """
+    trunk, limbs, pending = [], list[_Part](), [root]
+    while pending:
+        part = pending.pop()
+        trunk.append(part)
+        for branch in part.branches:
+            (limbs if branch.is_limb else pending).append(branch)
+    count, done = len(limbs), list[_Part]()
+    while limbs:
+        limbs.sort(key=len)
+        limb = limbs.pop()
+        shared = [len(limb.matches(other)) for other in limbs]
+        if max(shared, default=0) < _LEAST_SHARED:
+            done.append(limb)
+            continue
+        limbs.append(limb.joined(limbs.pop(shared.index(max(shared)))))
+    if len(done) == count:
+        return list(root)
+    return [*trunk, *(part for limb in done for part in limb)]
+
+
+def _ordered(parts: list[_Part], bodies: list[Body], lanes: Lanes) -> list[Link]:
+    """Return parts as links, parents first."""
+    place, links = {-1: (-1, 0)}, list[Link]()
+    while parts:
+        waiting = []
+        for part in parts:
+            above = [bodies[i].parent for i in part.members]
+            if not all(i in place for i in above):
+                waiting.append(part)
+                continue
+            place |= {i: (len(links), lane) for lane, i in enumerate(part.members)}
+            merged = _merged([bodies[i] for i in part.members], lanes)
+            links.append(Link(part.members, tuple(place[i] for i in above), merged))
+        parts = waiting
     return links
 
 
