@@ -53,7 +53,7 @@ def jacobian_graph(
     Returns:
         Function (y, parameters) → ∂ẏ/∂y, row by row, and its marks.
     """
-    lanes = Lanes()
+    lanes = Lanes(joins=False)
     graph = ReducedGraph(system, structure, forces, lanes, cut=True)
     y, cuts = graph.y, graph.cuts
     sweep = _matrix(sweep_jacobian(graph.swept, bodies_of(system), system.group.axes, lanes))
