@@ -20,7 +20,7 @@ from stiff_kernels import kernels
 
 import pinred
 from pinred import DOP853, Radau
-from pinred.common.arrays import Array
+from pinred.common.arrays import Array, read_only
 from pinred.common.errors import (
     InputError,
     KernelMismatch,
@@ -422,7 +422,8 @@ def test_dense_output_equals_filtered_polynomial() -> None:
             size = 1e-11 * max(abs(start), abs(end)) * max(1.0, abs(z))
             np.testing.assert_allclose(run.at(t)[:, 0], start + P(x) + added, atol=size)
             for lost in (np.inf, np.nan):
-                other = replace(run, params=np.array([rate, lost])).at(t)[:, 0]
+                params = read_only(np.array([rate, lost]))  # like those of a run
+                other = replace(run, params=params).at(t)[:, 0]
                 np.testing.assert_allclose(other, start + P(x) + added, atol=10.0 * size)
 
 
