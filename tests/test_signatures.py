@@ -153,6 +153,7 @@ traj(t="now", at=1)  # call-arg
 """
 
 
+FOLDERS = ("pinred", "tests", "examples")
 # Garbage collection frees nothing here, and takes a fifth of a run.
 MYPY = """
 import gc
@@ -163,26 +164,19 @@ console_entry()
 """
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "folders",
-    [["pinred"], pytest.param(["pinred", "tests", "examples"], marks=pytest.mark.by_hand)],
-    ids=len,
-)
-def test_mypy_reports_only_the_misspelt_options_and_wrong_types(
-    folders: list[str], tmp_path: Path
-) -> None:
+@pytest.mark.by_hand
+def test_mypy_reports_only_the_misspelt_options_and_wrong_types(tmp_path: Path) -> None:
     """Mypy finds no fault in the checkout, and exactly the marked lines of the snippet.
 
-    One run checks both, because it takes a minute.  A cache is used where there is one; to write
-    one takes a tenth of the run.
+    One run checks both, because it takes a minute; `.ci/run` and the nightly workflow run it.  A
+    cache is used where there is one; to write one takes a tenth of the run.
     """
     path = tmp_path / "snippet.py"
     path.write_text(SNIPPET, encoding="utf-8")
     cache = ROOT / ".mypy_cache"
     options = ["--no-pretty", f"--cache-dir={cache if cache.exists() else os.devnull}"]
     process = subprocess.run(
-        [sys.executable, "-c", MYPY, *options, *folders, str(path)],
+        [sys.executable, "-c", MYPY, *options, *FOLDERS, str(path)],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     pattern = r"^(.*):(\d+): error: .*\[([\w-]+)\]$"

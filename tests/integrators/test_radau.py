@@ -7,6 +7,7 @@ import threading
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -19,7 +20,7 @@ from stiff_kernels import kernels
 
 import pinred
 from pinred import DOP853, Radau
-from pinred.common.arrays import Array
+from pinred.common.arrays import Array, read_only
 from pinred.common.errors import (
     InputError,
     KernelMismatch,
@@ -67,12 +68,12 @@ def _power_slope(y: Any, p: Any, v: Any, d: Any) -> None:
 
 
 def _edge(y: Any, p: Any, d: Any) -> None:  # noqa: ARG001
-    d[0], d[1], d[2] = 1.0, 0.0, np.sqrt(0.5 - y[0])
+    d[0], d[1], d[2] = 1.0, 0.0, ca.sqrt(0.5 - y[0])
 
 
 def _edge_slope(y: Any, p: Any, v: Any, d: Any) -> None:  # noqa: ARG001
     for j in range(8):
-        d[j], d[8 + j], d[16 + j] = 0.0, 0.0, -0.5 / np.sqrt(0.5 - y[0]) * v[j]
+        d[j], d[8 + j], d[16 + j] = 0.0, 0.0, -0.5 / ca.sqrt(0.5 - y[0]) * v[j]
 
 
 def _sloped(y: Any, p: Any, d: Any) -> None:
@@ -85,12 +86,12 @@ def _sloped_slope(y: Any, p: Any, v: Any, d: Any) -> None:  # noqa: ARG001
 
 
 def _servo(y: Any, p: Any, d: Any) -> None:
-    d[0], d[1] = -p[0] * (y[0] - np.cos(y[1])), 1.0
+    d[0], d[1] = -p[0] * (y[0] - ca.cos(y[1])), 1.0
 
 
 def _servo_slope(y: Any, p: Any, v: Any, d: Any) -> None:
     for j in range(8):
-        d[j], d[8 + j] = -p[0] * (v[j] + np.sin(y[1]) * v[8 + j]), 0.0
+        d[j], d[8 + j] = -p[0] * (v[j] + ca.sin(y[1]) * v[8 + j]), 0.0
 
 
 POL, POL_SLOPE = kernels(_pol, _pol_slope)
@@ -421,17 +422,18 @@ def test_dense_output_equals_filtered_polynomial() -> None:
             size = 1e-11 * max(abs(start), abs(end)) * max(1.0, abs(z))
             np.testing.assert_allclose(run.at(t)[:, 0], start + P(x) + added, atol=size)
             for lost in (np.inf, np.nan):
-                other = replace(run, params=np.array([rate, lost])).at(t)[:, 0]
+                params = read_only(np.array([rate, lost]))  # like those of a run
+                other = replace(run, params=params).at(t)[:, 0]
                 np.testing.assert_allclose(other, start + P(x) + added, atol=10.0 * size)
 
 
 def _pulse(y: Any, p: Any, d: Any) -> None:
-    d[0], d[1] = 1.0 / np.cosh(p[0] * (y[1] - 1.0)) - y[0], 1.0
+    d[0], d[1] = 1.0 / ca.cosh(p[0] * (y[1] - 1.0)) - y[0], 1.0
 
 
 def _pulse_slope(y: Any, p: Any, v: Any, d: Any) -> None:
-    c = np.cosh(p[0] * (y[1] - 1.0))
-    rate = -p[0] * np.sinh(p[0] * (y[1] - 1.0)) / (c * c)  # inf/inf far from the pulse
+    c = ca.cosh(p[0] * (y[1] - 1.0))
+    rate = -p[0] * ca.sinh(p[0] * (y[1] - 1.0)) / (c * c)  # inf/inf far from the pulse
     for j in range(8):
         d[j] = rate * v[8 + j] - v[j]
         d[8 + j] = 0.0

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.polynomial import legendre
 
-from pinred.common.arrays import Array
+from pinred.common.arrays import Array, read_only
 from pinred.common.errors import InputError, NoConvergence
 from pinred.common.machine_code import NativeCode, load_object
 from pinred.integrators.integrate import Integration, integrate
@@ -32,7 +32,7 @@ N, P = 7, 3  # entries of the state, and parameters
 QUATERNIONS = (1, 1)  # index of the first entry, and number
 END = 0.9
 Y0 = np.array([0.4, 0.3, -0.5, 0.2, 0.9, -0.8, 1.1])
-PARAMS = np.array([0.7, -0.4, 1.3])
+PARAMS = read_only(np.array([0.7, -0.4, 1.3]))  # code is shipped for read-only inputs
 
 
 @cache
@@ -96,6 +96,7 @@ def run_of(method: Any, *, stages: bool, inner: bool = True) -> Solution:
     address = code("rate", method.lanes).address
     knots = integrate(method, address, PARAMS, Y0, END, [], QUATERNIONS).knots
     times = np.sort(np.concatenate([END * np.array(FRACTIONS), knots[1:3]])) if inner else knots
+    read_only(times)
     solution = Integration(method, address, N, END, times, QUATERNIONS)(PARAMS, Y0, stages=stages)
     np.testing.assert_array_equal(solution.knots, knots)
     assert len(knots) >= 4
@@ -288,7 +289,7 @@ def test_steps_without_a_solution_are_refused_with_their_time() -> None:
     """Steps of 40 s contract nothing: both passes name the start of the step."""
     method, field = Gauss(0.3, order=6), field_of(Gauss(0.3, order=6))
     solution = run_of(method, stages=False)
-    knots = np.append(solution.knots[:-1], solution.knots[-2] + 40.0)
+    knots = read_only(np.append(solution.knots[:-1], solution.knots[-2] + 40.0))
     with pytest.raises(NoConvergence, match=r"at t = 0\.6 s did not converge") as failure:
         run_along(
             method, field, PARAMS, Y0, knots, np.empty(0), np.eye(N), np.zeros((P, N)),

@@ -10,7 +10,7 @@ import pytest
 import scipy.integrate
 from numpy.polynomial import Polynomial
 from scipy.special import spherical_jn
-from stiff_kernels import kernels
+from stiff_kernels import kernel, kernels
 
 from pinred import DOP853, AdaptiveGauss, Tsit5
 from pinred.integrators.integrate import integrate
@@ -47,8 +47,7 @@ def _in_units(y: Any, p: Any, d: Any) -> None:
 
 
 KERNELS = {lanes: _wide(lanes) for lanes in (1, 8)}
-POWER, _ = kernels(_power, lambda y, p, v, d: None)  # noqa: ARG005
-IN_UNITS, _ = kernels(_in_units, lambda y, p, v, d: None)  # noqa: ARG005
+POWER, IN_UNITS = kernel(_power), kernel(_in_units)
 
 
 def run(method: ErrorControl, rates: Any, y0: Any, times: Any) -> Solution:

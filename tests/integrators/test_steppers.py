@@ -8,14 +8,14 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-import numba
+import casadi as ca
 import numpy as np
 import pytest
-from numba import types
 from orbits import kepler_orbit
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipj, erf
+from stiff_kernels import kernel, kernel_by_numba
 
 from pinred.common.arrays import Array
 from pinred.common.errors import (
@@ -35,18 +35,6 @@ from pinred.integrators.methods import METHODS as ALL
 from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_state
 
-Rate = Callable[[Any, Any, Any], None]
-_NUMBERS: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
-_alive: list[Any] = []
-
-
-def kernel(rate: Rate) -> int:
-    """Compile a vector field and return its address."""
-    compiled: Any = numba.cfunc(types.void(_NUMBERS, _NUMBERS, _NUMBERS))(rate)
-    _alive.append(compiled)
-    address: int = compiled.address
-    return address
-
 
 @kernel
 def oscillator(y: Any, p: Any, d: Any) -> None:
@@ -54,7 +42,6 @@ def oscillator(y: Any, p: Any, d: Any) -> None:
     d[0], d[1] = p[0] * y[1], -p[0] * y[0]
 
 
-@kernel
 def counted(y: Any, p: Any, d: Any) -> None:
     """The oscillator, which counts its calls in its parameter."""
     p[0] += 1.0
@@ -71,7 +58,7 @@ def power(y: Any, p: Any, d: Any) -> None:
 def kepler(y: Any, p: Any, d: Any) -> None:  # noqa: ARG001
     """Planar motion about a mass at the origin."""
     square = y[0] * y[0] + y[1] * y[1]
-    force = 1.0 / (square * np.sqrt(square))
+    force = 1.0 / (square * ca.sqrt(square))
     d[0], d[1], d[2], d[3] = y[2], y[3], -force * y[0], -force * y[1]
 
 
@@ -79,13 +66,13 @@ def kepler(y: Any, p: Any, d: Any) -> None:  # noqa: ARG001
 def pulse(y: Any, p: Any, d: Any) -> None:
     """A clock, and a velocity that a short force changes at clock time one."""
     s = (y[0] - 1.0) / p[0]
-    d[0], d[1] = 1.0, np.exp(-s * s) / p[0]
+    d[0], d[1] = 1.0, ca.exp(-s * s) / p[0]
 
 
 @kernel
 def edge(y: Any, p: Any, d: Any) -> None:  # noqa: ARG001
     """A rate that is not a number after clock time one half."""
-    d[0], d[1], d[2] = 1.0, 0.0, np.sqrt(0.5 - y[0])
+    d[0], d[1], d[2] = 1.0, 0.0, ca.sqrt(0.5 - y[0])
 
 
 def top_rate(y: Any, p: Any, d: Any) -> None:
@@ -304,14 +291,15 @@ def test_pulse_shortens_steps(kind: type[Explicit], most: int) -> None:
 
 def test_evaluation_counts_equal_kernel_calls() -> None:
     """DOP853: 12 per step, 11 per rejection, 3 per dense output, 2 for the first step."""
-    run = integrate(DOP853(), counted, [0.0], [1.0, 0.0], 10.0, [0.0, 10.0])
+    address = kernel_by_numba(counted)
+    run = integrate(DOP853(), address, [0.0], [1.0, 0.0], 10.0, [0.0, 10.0])
     assert run.evaluations == run.params[0] == 12 * run.steps + 11 * run.rejected + 2
-    run = integrate(DOP853(), counted, [0.0], [1.0, 0.0], 10.0, [5.0, 5.001, 10.0])
+    run = integrate(DOP853(), address, [0.0], [1.0, 0.0], 10.0, [5.0, 5.001, 10.0])
     assert run.evaluations == run.params[0] == 12 * run.steps + 11 * run.rejected + 5
     # Six a step of Tsitouras's, tried or accepted; its dense output takes none.
-    run = integrate(Tsit5(), counted, [0.0], [1.0, 0.0], 10.0, [5.0, 5.001, 10.0])
+    run = integrate(Tsit5(), address, [0.0], [1.0, 0.0], 10.0, [5.0, 5.001, 10.0])
     assert run.evaluations == run.params[0] == 6 * (run.steps + run.rejected) + 2
-    run = integrate(RKMK4(0.1), counted, [0.0], [1.0, 0.0], 10.0, [5.01])
+    run = integrate(RKMK4(0.1), address, [0.0], [1.0, 0.0], 10.0, [5.01])
     assert run.evaluations == run.params[0] == 4 * run.steps + 1
     assert run.steps == 100
 

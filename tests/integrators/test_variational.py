@@ -13,7 +13,7 @@ import pytest
 from discrete_action import REST, STIFFNESS, Action, points_of
 from orders import errors_at_the_end, fit_order
 from scipy.spatial.transform import Rotation
-from stiff_kernels import kernels
+from stiff_kernels import kernel_by_numba
 
 import pinred
 from pinred import Gauss, Variational
@@ -164,13 +164,9 @@ def _gap(y: Any, p: Any, d: Any) -> None:  # noqa: ARG001
     d[0], d[1], d[2] = y[1], -y[0] + 0.0 * hole, 1.0
 
 
-def _no_slope(y: Any, p: Any, v: Any, d: Any) -> None:
-    pass
-
-
 def test_unsolved_report_raises() -> None:
     """The step crosses an interval of non-finite rates, and a report time lies in it."""
-    address, _ = kernels(_gap, _no_slope)
+    address = kernel_by_numba(_gap)
     options: dict[str, Any] = {"canonical": Canonical(1)}
     start, method = [1.0, 0.0, 0.0], Variational(0.1)
     over = integrate(method, address, [], start, 0.3, [0.0, 0.1, 0.25, 0.3], **options)
