@@ -59,7 +59,7 @@ from .scene_options import (
 from .scene_options import ENGINES as ENGINES
 from .scene_options import Engine as Engine
 from .scene_structure import MOST_STRUCTURES, Shared, structure_key
-from .stop import Bound, bounds_of, check_start, parse_stops
+from .stop import Bound, bounds_of, parse_stops, starts_beyond
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
@@ -169,8 +169,8 @@ class Scene(SceneFields):
             if values[name] is not None:
                 values[name] = copied(values[name])
         values["_given"] = given = self._resolve()
-        if self.bounds:
-            check_start(self.bounds, given.x[0])
+        if self.bounds and (reasons := starts_beyond(self.bounds, given.x)):
+            raise InputError(reasons[0])
 
     def _check_structure(self) -> Shared:
         """Check all options except the numbers of the initial state; return these options."""

@@ -194,17 +194,27 @@ def bounds_of(system: System, stops: Mapping[str, Stop]) -> tuple[Bound, ...]:
     return tuple(tightest.values())
 
 
-def check_start(bounds: tuple[Bound, ...], x: Array) -> None:
-    """Raise InputError if an initial shape (nx,) lies outside its stops."""
+def starts_beyond(bounds: tuple[Bound, ...], x: Array) -> dict[int, str]:
+    """Describe the initial shapes that lie outside their stops.
+
+    Args:
+        bounds: The bounds.
+        x: Initial shapes, (N, nx) [rad | m | 1].
+    Returns:
+        {index of the shape: why it is refused}.
+    """
+    reasons: dict[int, str] = {}
     for bound in bounds:
-        beyond = bound.sign * (bound.position - float(x[bound.x]))
-        if beyond > _WITHIN * max(1.0, abs(bound.position)):
-            stop = bound.stop
-            raise InputError(
-                f"stops: the initial position of joint '{bound.joint}' is {beyond:.3g} beyond its "
-                f"{bound.side} stop (lower {stop.lower:g}, upper {stop.upper:g}). Start within the "
-                "stops (x0=), or widen them"
+        beyond = bound.sign * (bound.position - x[:, bound.x])
+        stop = bound.stop
+        for k in np.flatnonzero(beyond > _WITHIN * max(1.0, abs(bound.position))).tolist():
+            reasons.setdefault(
+                k,
+                f"stops: the initial position of joint '{bound.joint}' is {beyond[k]:.3g} beyond "
+                f"its {bound.side} stop (lower {stop.lower:g}, upper {stop.upper:g}). Start within "
+                "the stops (x0=), or widen them",
             )
+    return reasons
 
 
 def _leader(system: System, name: str, x: int, v: int) -> tuple[int, int, float, float]:

@@ -176,6 +176,10 @@ def run_members(
     for group in members.groups:
         if not group.one_by_one:
             expect_members(group.plan.method)
+        elif group.plan.scene.bounds:
+            from .run_with_stops import refuse_with_stops
+
+            refuse_with_stops(group.plan, "compiled", check=False, checkpoint=False)
     from .compiled.compiled_flow import flows_of
     from .members.closed_members import reject_singular
     from .members.integrate_members import integrate_members
@@ -191,10 +195,15 @@ def run_members(
 
     for group in members.groups:
         if group.one_by_one:
+            has_stops = bool(group.plan.scene.bounds)
+            # Prescribed joints of a member may run into stops of the file.
+            failing = (IntegrationError, InputError) if has_stops else IntegrationError
             for member in group.members.tolist():
                 try:
-                    single[member] = trajectory_of(members.scene_of(member))
-                except IntegrationError as error:
+                    traj = trajectory_of(members.scene_of(member))
+                    # The segments of a motion with stops take more memory than its states.
+                    single[member] = traj.without_motion() if has_stops else traj
+                except failing as error:
                     time = getattr(error, "time", float("nan"))
                     failures.append(Failure(member, time, str(error)))
                 done += 1

@@ -28,6 +28,7 @@ from ...scene.initial_state import GivenStates, refuse_vague
 from ...scene.joint_values import order_by_joint
 from ...scene.random_state import random_state
 from ...scene.scene import Scene
+from ...scene.stop import starts_beyond
 from ...system.coordinates import Indices
 from ...system.model_parameters import GRAVITY, requested, size_of
 from ...system.system import System
@@ -187,7 +188,8 @@ class MemberOptions:
 
     def _scene_by(self, method: Method | str, member: int) -> Scene:
         """Return the scene of one member, with the integrator that members use."""
-        return replace(self.scene(member), method=method)
+        scene = self.scene(member)
+        return scene if scene.method == method else replace(scene, method=method)
 
     def select(self, members: Indices) -> MemberOptions:
         """Return the options of the selected members, (K,) sorted indices."""
@@ -335,6 +337,8 @@ class MemberOptions:
         if system.loops:
             x, xdot = close_members(self._scene, self.count)
         x, xdot = with_prescribed_joints(scene, x, xdot, numbers)
+        if reasons := starts_beyond(scene.bounds, x):
+            raise RejectedValuesError(reasons)
         xi, momentum = (
             rows("xi0", system.r, common_states.xi),
             rows("momentum", system.r, common_states.mu),
