@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -158,6 +158,55 @@ def parse_stops(value: Any, system: System) -> dict[str, Stop]:
         stops[name] = _stop_of(entry, name)
     bounds_of(system, stops)
     return {name: stops[name] for name in joints if name in stops}
+
+
+def is_number_of_stop(name: str) -> bool:
+    """Return whether a name is that of a number of a stop, such as "stops.elbow.restitution"."""
+    first, _, field = name.rpartition(".")
+    return first.startswith("stops.") and field in Stop.__dataclass_fields__
+
+
+def number_of_stop(stops: Mapping[str, Stop], name: str, what: str) -> float:
+    """Return the number of a stop that a name states.
+
+    Args:
+        stops: {joint: its stops}.
+        name: Name of the number, such as "stops.elbow.restitution".
+        what: The argument that contains the name, for messages.
+    Returns:
+        The number.
+    Raises:
+        InputError: The scene states no stops of this joint.
+    """
+    joint, field = name.removeprefix("stops.").rsplit(".", 1)
+    if joint not in stops:
+        raise InputError(
+            f"{what}: {quoted(name)}: expected a scene with stops of {quoted(joint)}, got stops of "
+            f"{listed(list(stops), 8) or 'no joint'}. Add {quoted(joint)} to its stops"
+        )
+    return float(getattr(stops[joint], field))
+
+
+def with_numbers(stops: Mapping[str, Stop], numbers: Mapping[str, float]) -> dict[str, Stop]:
+    """Return stops with other numbers.
+
+    Args:
+        stops: {joint: its stops}.
+        numbers: Values by name, such as {"stops.elbow.restitution": 0.5}.
+    Returns:
+        The stops.
+    Raises:
+        InputError: A joint has no stops, or a number is not valid.
+    """
+    changed = dict(stops)
+    for name, value in numbers.items():
+        number_of_stop(stops, name, "members")
+        joint, field = name.removeprefix("stops.").rsplit(".", 1)
+        try:
+            changed[joint] = replace(changed[joint], **{field: value})
+        except InputError as error:
+            raise InputError(f"stops['{joint}']: {error}") from None
+    return changed
 
 
 def bounds_of(system: System, stops: Mapping[str, Stop]) -> tuple[Bound, ...]:

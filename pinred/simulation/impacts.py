@@ -203,9 +203,9 @@ def table_of(impacts: Sequence[Impact], momenta: Array) -> ImpactTable:
 _IN_FILES = "impact_"  # beginning of the names of a table's arrays in files
 
 
-def impact_arrays(table: ImpactTable) -> dict[str, Array]:
+def impact_arrays(table: ImpactTable | None) -> dict[str, Any]:
     """Return the arrays of a table for a file, {name: array}; empty without impacts."""
-    if not len(table):
+    if table is None or not len(table):
         return {}
     columns = (*ImpactTable.__dataclass_fields__, *(["member"] * hasattr(table, "member")))
     return {f"{_IN_FILES}{name}": np.array(getattr(table, name)) for name in columns}
