@@ -163,6 +163,9 @@ class Scene(SceneFields):
         """Check and store the initial state that the options state.
 
         The scene has copies of arrays and lists, because a caller may change them afterwards.
+
+        Raises:
+            InputError: The state is not valid, or lies outside the stops.
         """
         values = vars(self)
         for name in ARRAYS_OF_STATE:

@@ -286,6 +286,39 @@ def test_two_joints_that_arrive_together_bounce_in_one_impact() -> None:
     np.testing.assert_allclose(traj.x[-1], [0.375, -0.375], atol=1e-12)
 
 
+def test_impact_that_pushes_another_joint_into_its_stop_at_once_has_the_closed_form() -> None:
+    """The right slide is 2e-14 m from its stop when the left one hits, and is pushed back.
+
+    With masses of 2, 1 and 1 kg: λ = 2/3 (right, plastic), 4/3 (left, e = 1/2), 4/9 (right).
+    """
+    system, apart = pair_of_slides(), 1e-7
+    traj = pinred.simulate(
+        system, x0=[0.0, 0.0], xdot0=[1.0, -1.0], xi0=[0.0], duration=0.6,
+        forces=[Torque(lambda t, *_: [0.0, ca.if_else(t < 0.5 - 2.0 * apart, 0.0, 2.0)])],
+        stops={"left": (-1.0, 0.5, 0.5), "right": (-0.5 + apart, 1.0)},
+    )  # fmt: skip
+    assert traj.impacts.joint == ("right", "left", "right")
+    np.testing.assert_allclose(traj.impacts.impulse, [2 / 3, -4 / 3, 4 / 9], rtol=1e-6)
+    np.testing.assert_allclose(traj.impacts.t[[0, 2]], [0.5 - apart, 0.5], rtol=0.0, atol=1e-7)
+    after = traj(float(np.nextafter(traj.impacts.t[-1], 1.0)))
+    np.testing.assert_allclose(after.xi, [1 / 9], rtol=1e-5)
+    np.testing.assert_allclose(after.xdot, [-4 / 9, 0.0], rtol=1e-5, atol=1e-6)
+
+
+def test_impacts_without_time_between_them_are_an_error_after_a_hundred(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A joint that hits its stop again and again at one time is an error, not an endless loop."""
+    calls: list[float] = []
+    monkeypatch.setattr(run_with_stops, "cut_at", lambda t, *_: calls.append(t) or [])
+    with pytest.raises(IntegrationError, match="cannot leave its stop at t = 0 s"):
+        pinred.simulate(
+            bouncing_slide(), x0=[0.5], xdot0=[-1.0], xi0=[0.0], duration=9.0,
+            forces=[Torque(lambda *_: [-1.0])], stops={"slide": pinred.Stop(0.0, restitution=1.0)},
+        )  # fmt: skip
+    assert len(calls) == 101
+
+
 def test_stop_of_a_follower_stops_its_leader() -> None:
     """Stop of a follower stops its leader."""
     case = make_case("SE3", 3, 6)

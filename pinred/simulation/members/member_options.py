@@ -213,7 +213,8 @@ class MemberOptions:
             except InputError as error:
                 reasons[k] = str(error)
                 continue
-            reasons |= {k: reason for reason in starts_beyond(bounds, x[k : k + 1]).values()}
+            for reason in starts_beyond(bounds, x[k : k + 1]).values():
+                reasons[k] = reason
         if reasons:
             raise RejectedValuesError(reasons)
 

@@ -140,7 +140,8 @@ def read_members(path: str | Path) -> RecordedMembers:
     origin = {key: content[key] for key in ORIGIN if key in content and key not in _OF_MEMBERS}
     return RecordedMembers(
         path, str(content["robot"]), str(content["group"]),
-        tuple(map(str, np.atleast_1d(content["joints"]))), kind(**states), failures, impacts, origin,
+        tuple(map(str, np.atleast_1d(content["joints"]))), kind(**states), failures, impacts,
+        origin,
     )  # fmt: skip
 
 

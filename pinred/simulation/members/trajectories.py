@@ -259,10 +259,10 @@ class Trajectories(OverTime):
 
         The file contains `t`, (T,), one array (N, T, …) for each other field of State, and the
         robot as `Trajectory.save` writes it.  For each member there are `failure`, (N,), the reason
-        for its failure or "", and `reached`, (N,), the last time [s].  `impact_member`, `impact_t` and
-        so on are the columns of the impacts at joint stops, if there are any.  `gravity` is (N, 3), and
-        `parameter_values`, (N, …), include the parameters of forces.  Both are NaN for members
-        whose values were rejected.
+        for its failure or "", and `reached`, (N,), the last time [s].  `impact_member`, `impact_t`
+        and so on are the columns of the impacts at joint stops, if there are any.  `gravity` is
+        (N, 3), and `parameter_values`, (N, …), include the parameters of forces.  Both are NaN for
+        members whose values were rejected.
 
         A .zarr folder names its dimensions, and replaces an existing one.  `read_members` and
         `xarray.open_zarr(path, consolidated=False)` read it.
@@ -331,9 +331,7 @@ def _up_to(traj: Trajectory, t: Array, system: System, *, wanted: bool) -> State
         filled[reached] = values[rows]
         return filled
 
-    return replace(
-        map_arrays(fill, _missing_states(system, t, wanted=wanted), traj.outputs), t=t
-    )
+    return replace(map_arrays(fill, _missing_states(system, t, wanted=wanted), traj.outputs), t=t)
 
 
 def _missing_states(system: System, t: Array, *, wanted: bool) -> State | ShapeState:
