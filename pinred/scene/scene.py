@@ -532,6 +532,13 @@ def _controls(controls: Any) -> list[tuple[str, str]]:
     return [(f"control {name}", repr(control)) for name, control in controls.items()]
 
 
+def _stops(stops: Any) -> list[tuple[str, str]]:
+    """Return a row for each joint with stops, or one for those of the file."""
+    if isinstance(stops, str):
+        return [("stops", repr(stops))]
+    return [(f"stops {name}", repr(stop)) for name, stop in (stops or {}).items()]
+
+
 def scene_card(scene: Any) -> str:
     """Return the initial state, the forces and the settings of a Scene as HTML."""
     system, start = scene.system, scene.start
@@ -548,6 +555,7 @@ def scene_card(scene: Any) -> str:
         *((f"{force.label}, of the file", repr(force)) for force in scene.own_forces),
         *_controls(scene.controls),
         *((f"prescribed {name}", repr(plan)) for name, plan in scene.prescribed.items()),
+        *_stops(scene.stops),
         *([("hold", scene.hold)] if scene.hold else []),
     ]
     method = scene.integrator or scene.method

@@ -112,7 +112,7 @@ def simulate_many(
     with shown(progress, f"simulating {resolved.count} of {name}", what=what) as done:
         trajectories = run_members(resolved, threads, done, rejected, device, modes)
     if explain:
-        for label, count in modes.most_common():
+        for label, count in sorted(modes.items(), key=lambda mode: (-mode[1], mode[0])):
             print(f"mode: {label}, in {count} members")
     return trajectories
 
