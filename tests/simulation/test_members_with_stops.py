@@ -13,7 +13,7 @@ import xarray
 
 import pinred
 from pinred.common.errors import LoadError
-from pinred.forces import Controller, Damper, Torque
+from pinred.forces import PD, Controller, Damper, Torque
 from pinred.simulation.compiled import compiled_flow
 
 CAT = pinred.load("falling_cat")
@@ -68,6 +68,15 @@ def test_members_have_the_bits_of_simulate_and_pass_the_comparison() -> None:
     assert many.impacts.counts.tolist() == [2, 1, 0]
     np.testing.assert_array_equal(many.impacts.member, [0, 0, 1])
     assert pinred.compare(many[0]).verdict == "PASSED"
+
+
+def test_members_with_stops_have_the_method_of_simulate() -> None:
+    """Without stops, batches replace AdaptiveGauss by DOP853, which runs in lanes."""
+    run: dict[str, Any] = {"times": [0.0, 0.5], "stops": STOPS}
+    many = pinred.simulate_many(CAT, xdot0=RATES[:2], **run)
+    alone = pinred.simulate(CAT, xdot0=RATES[1], **run)
+    assert many[1].run.method == alone.run.method == "AdaptiveGauss"
+    np.testing.assert_array_equal(many.x[1], alone.x)
 
 
 def test_numbers_of_stops_vary_as_in_the_closed_form() -> None:
@@ -254,6 +263,7 @@ def bouncing_pair_of_hinges() -> pinred.System:
         ({"device": "cuda"}, "joints come to rest at their stops at different times. Omit device"),
         ({"method": "Gauss(0.01, 8)"}, "stops: expected none with method Gauss8"),
         ({"forces": [Controller(lambda *_: [0.0, 0.0, 0.0], period=0.1)]}, "with controllers"),
+        ({"forces": [PD({"twist": 0.1}, 1.0, 0.1)]}, "with forces with a reference"),
         ({"members": {"stops.twist.lower": [0.1, 0.2]}}, "stops of 'twist', got stops of bend"),
         ({"stops": None, "members": {"stops.bend.lower": [0.1, 0.2]}}, "got stops of no joint"),
         ({"members": {"stops.bend.lowest": [0.1, 0.2]}}, "'stops.bend.lowest' cannot vary"),
