@@ -269,6 +269,10 @@ def bouncing_pair_of_hinges() -> pinred.System:
         ({"members": {"stops.bend.lowest": [0.1, 0.2]}}, "'stops.bend.lowest' cannot vary"),
         ({"members": {"stops.bend.lower": [0.1, 0.2, 0.3]}}, "stops.bend.lower: 3"),
         ({"stops": {"bent": (-1.0, 1.0)}}, "did you mean 'bend'"),
+        ({"members": {"stops.bend.lower": 0.5}}, r"must have shape \(N,\), got \(\)"),
+        ({"members": {"stops.bend.lower": None}}, "stops.bend.lower"),
+        ({"members": {"stops.bend.lower": [[0.1], [0.2]]}}, r"got \(2, 1\)"),
+        ({"members": {"stops.bend.lower": [0.1, np.nan]}}, "must be finite"),
     ],
 )  # fmt: skip
 def test_refusals_of_batches_have_a_remedy(options: dict[str, Any], message: str) -> None:

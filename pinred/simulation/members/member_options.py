@@ -127,7 +127,11 @@ class MemberOptions:
             if self.common.get(name) is not None and dimensions(self.common[name]) == 2
         }
         self.gravity = self._member_gravity(values, scene_values)
-        self.stops = {n: rows_of(values.pop(n), n) for n in [*values] if is_number_of_stop(n)}
+        self.stops = {
+            name: _stop_rows(values.pop(name), name)
+            for name in [*values]
+            if is_number_of_stop(name)
+        }
         sizes = {name: size_of(system, name) for name in values}
         self.robot = {name: size for name, size in sizes.items() if size is not None}
         self.parameters = varying_parameters(values, self.robot, base, members or {})
@@ -410,6 +414,16 @@ def _named_rows(
             for joint, column in columns.items()
         }
     return named
+
+
+def _stop_rows(value: Any, name: str) -> Array:
+    """Return the values (N,) of a number of a stop.  Raises ShapeError."""
+    if (shape := as_floats(value, name).shape)[1:] or not shape:
+        raise ShapeError(
+            f"members['{name}'] must have shape (N,), got {shape}. State numbers that all members "
+            "share in stops"
+        )
+    return rows_of(value, name)
 
 
 def _row(values: Mapping[str, Array], member: int | Indices) -> dict[str, Array]:
