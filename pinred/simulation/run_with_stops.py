@@ -479,7 +479,7 @@ class _Run:
                     f"stops: '{self.system.name}' cannot leave its stop at t = {t:g} s. Increase "
                     "rest_rate, or loosen the tolerances"
                 )
-            if not parts:  # An impact pushes another joint that was at its stop into it.
+            if not parts:  # A force that jumps, or another impact, acts on a joint at its stop.
                 return _State(t, flow, y), search
             for part in parts:
                 ended = self.watch is not None and self.watch.look(part)

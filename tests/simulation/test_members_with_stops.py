@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from pathlib import Path
 from typing import Any
 
@@ -262,8 +263,6 @@ def bouncing_pair_of_hinges() -> pinred.System:
     [
         ({"device": "cuda"}, "joints come to rest at their stops at different times. Omit device"),
         ({"method": "Gauss(0.01, 8)"}, "stops: expected none with method Gauss8"),
-        ({"forces": [Controller(lambda *_: [0.0, 0.0, 0.0], period=0.1)]}, "with controllers"),
-        ({"forces": [PD({"twist": 0.1}, 1.0, 0.1)]}, "with forces with a reference"),
         ({"members": {"stops.twist.lower": [0.1, 0.2]}}, "stops of 'twist', got stops of bend"),
         ({"stops": None, "members": {"stops.bend.lower": [0.1, 0.2]}}, "got stops of no joint"),
         ({"members": {"stops.bend.lowest": [0.1, 0.2]}}, "'stops.bend.lowest' cannot vary"),
@@ -280,6 +279,23 @@ def test_refusals_of_batches_have_a_remedy(options: dict[str, Any], message: str
     run = {"xdot0": RATES[:2], "duration": 0.1, "stops": STOPS, **options}
     with pytest.raises((pinred.InputError, pinred.ShapeError), match=message):
         pinred.simulate_many(CAT, **run)
+
+
+@pytest.mark.parametrize(
+    "force", [Controller(lambda *_: [0.1, 0.0, 0.0], period=0.1), PD({"twist": 0.1}, 1.0, 0.1)]
+)
+def test_batches_accept_and_refuse_the_forces_of_simulate(force: Any) -> None:
+    """A force that acts together with stops in single runs acts in batches, and no other."""
+    run: dict[str, Any] = {"duration": 0.5, "stops": STOPS, "forces": [force]}
+    try:
+        alone = pinred.simulate(CAT, xdot0=RATES[0], **run)
+    except pinred.InputError as error:
+        with pytest.raises(pinred.InputError, match=re.escape(str(error))):
+            pinred.simulate_many(CAT, xdot0=RATES[:2], **run)
+        return
+    many = pinred.simulate_many(CAT, xdot0=RATES[:2], **run)
+    np.testing.assert_array_equal(many.x[0], alone.x)
+    assert_equal_tables(many.impacts.of_member(0), alone.impacts)
 
 
 def test_explanation_names_the_modes_of_members(capsys: pytest.CaptureFixture[str]) -> None:
