@@ -160,10 +160,10 @@ def parse_stops(value: Any, system: System) -> dict[str, Stop]:
     return {name: stops[name] for name in joints if name in stops}
 
 
-def is_number_of_stop(name: str) -> bool:
-    """Return whether a name is that of a number of a stop, such as "stops.elbow.restitution"."""
-    first, _, field = name.rpartition(".")
-    return first.startswith("stops.") and field in Stop.__dataclass_fields__
+def is_number_of_stop(name: str, system: System) -> bool:
+    """Return whether a name has the form "stops.JOINT.NUMBER" with a joint of a system."""
+    first, dot, joint = name.rpartition(".")[0].partition(".")
+    return bool(first == "stops" and dot and joint in {each.name for each in system.tree.joints})
 
 
 def number_of_stop(stops: Mapping[str, Stop], name: str, what: str) -> float:
@@ -176,18 +176,29 @@ def number_of_stop(stops: Mapping[str, Stop], name: str, what: str) -> float:
     Returns:
         The number.
     Raises:
-        InputError: The scene states no stops of this joint.
+        InputError: The scene states no stops of this joint, or they have no such number.
     """
-    joint, field = name.removeprefix("stops.").rsplit(".", 1)
+    joint, field = _parts_of_name(name)
     if joint not in stops:
         raise InputError(
             f"{what}: {quoted(name)}: expected a scene with stops of {quoted(joint)}, got stops of "
             f"{listed(list(stops), 8) or 'no joint'}. Add {quoted(joint)} to its stops"
         )
+    numbers = numbers_of_stop(stops[joint])
+    if field not in numbers:
+        raise InputError(
+            f"{what}: {quoted(name)}: expected one of the numbers {', '.join(numbers)} of a stop, "
+            f"got {quoted(field)}; {nearest(field, numbers)}".rstrip("; ")
+        )
     return float(getattr(stops[joint], field))
 
 
-def with_numbers(stops: Mapping[str, Stop], numbers: Mapping[str, float]) -> dict[str, Stop]:
+def numbers_of_stop(stop: Stop) -> list[str]:
+    """Return the names of the numbers of a stop."""
+    return [name for name, value in vars(stop).items() if isinstance(value, float)]
+
+
+def changed_stops(stops: Mapping[str, Stop], numbers: Mapping[str, float]) -> dict[str, Stop]:
     """Return stops with other numbers.
 
     Args:
@@ -198,15 +209,24 @@ def with_numbers(stops: Mapping[str, Stop], numbers: Mapping[str, float]) -> dic
     Raises:
         InputError: A joint has no stops, or a number is not valid.
     """
-    changed = dict(stops)
+    changes: dict[str, dict[str, float]] = {}
     for name, value in numbers.items():
         number_of_stop(stops, name, "members")
-        joint, field = name.removeprefix("stops.").rsplit(".", 1)
+        joint, field = _parts_of_name(name)
+        changes.setdefault(joint, {})[field] = value
+    changed = dict(stops)
+    for joint, values in changes.items():
         try:
-            changed[joint] = replace(changed[joint], **{field: value})
+            changed[joint] = replace(changed[joint], **values)
         except InputError as error:
             raise InputError(f"stops['{joint}']: {error}") from None
     return changed
+
+
+def _parts_of_name(name: str) -> tuple[str, str]:
+    """Return joint and number of a name such as "stops.elbow.restitution"."""
+    joint, _, field = name.removeprefix("stops.").rpartition(".")
+    return joint, field
 
 
 def bounds_of(system: System, stops: Mapping[str, Stop]) -> tuple[Bound, ...]:

@@ -16,7 +16,7 @@ from ..common.names import listed, nearest, quoted
 from ..common.parameter import Parameter, VectorParameter, value_in
 from ..forces.signals import Constant
 from ..scene.scene import Scene
-from ..scene.stop import Stop, is_number_of_stop, number_of_stop, parse_stops
+from ..scene.stop import is_number_of_stop, number_of_stop, numbers_of_stop, parse_stops
 from ..simulation.members.member_parameters import force_parameters
 from ..system.entry_labels import entry_names, label_entries
 from ..system.model_parameters import ModelParameters, kinds_near, size_of
@@ -118,14 +118,14 @@ class VariedScene:
 
     def nominal_values(self) -> Array:
         """Return the values of the numbers in the scene; 0 for a seed."""
-        values, parameters = [], _parameters_of(self.scene)
+        values, parameters, system = [], _parameters_of(self.scene), self.scene.system
         for number in self.numbers:
             if number.member == "seed":
                 values.append(0.0)
             elif number.entry is not None:
                 values.append(float(_nominal(self.scene, number.member)[number.entry]))
-            elif number.member not in parameters and is_number_of_stop(number.member):
-                stops = parse_stops(self.scene.stops, self.scene.system)
+            elif number.member not in parameters and is_number_of_stop(number.member, system):
+                stops = parse_stops(self.scene.stops, system)
                 values.append(number_of_stop(stops, number.member, "vary"))
             elif number.member in parameters:
                 values.append(float(value_in(self.scene.parameters, parameters[number.member])))
@@ -151,7 +151,7 @@ class VariedScene:
             raise InputError(
                 f"vary: {quoted(key)} is a vector. Vary some of its entries: {listed(names, 60)}"
             )
-        if is_number_of_stop(key) and key not in parameters:
+        if is_number_of_stop(key, system) and key not in parameters:
             number_of_stop(parse_stops(scene.stops, system), key, "vary")
             return VariedNumber(key, key, None, _unit_of_stop(system, key))
         if word in states and end in states[word]:
@@ -350,8 +350,8 @@ def _hint(scene: Scene, key: str) -> str:
     others += [f"controls.{name}" for name in _constant_controls(scene)]
     others += [
         f"stops.{joint}.{end}"
-        for joint in parse_stops(scene.stops, system)
-        for end in Stop.__dataclass_fields__
+        for joint, stop in parse_stops(scene.stops, system).items()
+        for end in numbers_of_stop(stop)
     ]
     others += [
         f"prescribed.{joint}"

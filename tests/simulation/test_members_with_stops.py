@@ -83,9 +83,13 @@ def test_members_with_stops_have_the_method_of_simulate() -> None:
 def test_numbers_of_stops_vary_as_in_the_closed_form() -> None:
     """A slide hits a stop at its own position and bounces with its own restitution."""
     lower, e = np.array([0.0, 0.1, 0.2]), np.array([0.25, 0.5, 1.0])
+    numbers = {
+        # Both bounds change at once: each of them alone would exclude the other one.
+        "stops.slide.lower": lower, "stops.slide.upper": lower + 9.0, "stops.slide.restitution": e,
+    }  # fmt: skip
     many = pinred.simulate_many(
-        bouncing_slide(), members={"stops.slide.lower": lower, "stops.slide.restitution": e},
-        x0=[0.5], xdot0=[-1.0], xi0=[0.0], duration=1.0, stops={"slide": (-1.0, 9.0)},
+        bouncing_slide(), members=numbers, x0=[0.5], xdot0=[-1.0], xi0=[0.0], duration=1.0,
+        stops={"slide": (-2.0, -1.0)},
     )  # fmt: skip
     np.testing.assert_allclose(many.impacts.t, 0.5 - lower, rtol=1e-12)
     np.testing.assert_allclose(many.impacts.rate_after, e, rtol=1e-12)
@@ -265,7 +269,8 @@ def bouncing_pair_of_hinges() -> pinred.System:
         ({"method": "Gauss(0.01, 8)"}, "stops: expected none with method Gauss8"),
         ({"members": {"stops.twist.lower": [0.1, 0.2]}}, "stops of 'twist', got stops of bend"),
         ({"stops": None, "members": {"stops.bend.lower": [0.1, 0.2]}}, "got stops of no joint"),
-        ({"members": {"stops.bend.lowest": [0.1, 0.2]}}, "'stops.bend.lowest' cannot vary"),
+        ({"members": {"stops.bend.lowest": [0.1, 0.2]}}, "got 'lowest'; did you mean 'lower'"),
+        ({"members": {"stops.bent.lower": [0.1, 0.2]}}, "'stops.bent.lower' cannot vary"),
         ({"members": {"stops.bend.lower": [0.1, 0.2, 0.3]}}, "stops.bend.lower: 3"),
         ({"stops": {"bent": (-1.0, 1.0)}}, "did you mean 'bend'"),
         ({"members": {"stops.bend.lower": 0.5}}, r"must have shape \(N,\), got \(\)"),

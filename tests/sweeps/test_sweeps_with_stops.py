@@ -136,7 +136,7 @@ def test_worker_computes_the_numbers_of_this_process() -> None:
         ({"stops": None}, {"xdot0.slide": [1.0]}, ["impacts"], "'impacts': expected a scene with"),
         ({}, {"xdot0.slide": [1.0]}, ["impacts.slid"], "did you mean 'slide'"),
         ({"stops": None}, {"stops.slide.lower": [0.1]}, ["x"], "got stops of no joint"),
-        ({}, {"stops.slide.lowest": [0.1]}, ["x"], "did you mean 'stops.slide.lower'"),
+        ({}, {"stops.slide.lowest": [0.1]}, ["x"], "got 'lowest'; did you mean 'lower'"),
         ({"method": "Gauss(0.01, 8)"}, {"xdot0.slide": [1.0]}, ["x"], "none with method Gauss8"),
     ],
 )

@@ -31,10 +31,10 @@ from ...scene.scene import Scene
 from ...scene.stop import (
     Stop,
     bounds_of,
+    changed_stops,
     is_number_of_stop,
     parse_stops,
     starts_beyond,
-    with_numbers,
 )
 from ...system.coordinates import Indices
 from ...system.model_parameters import GRAVITY, requested, size_of
@@ -130,7 +130,7 @@ class MemberOptions:
         self.stops = {
             name: _stop_rows(values.pop(name), name)
             for name in [*values]
-            if is_number_of_stop(name)
+            if is_number_of_stop(name, system)
         }
         sizes = {name: size_of(system, name) for name in values}
         self.robot = {name: size for name, size in sizes.items() if size is not None}
@@ -206,7 +206,7 @@ class MemberOptions:
         """Return the stops of a member if their numbers vary.  Raises InputError."""
         stops = getattr(self.base, "stops", None)
         shared = parse_stops(self.common.get("stops", stops), self.system)
-        return with_numbers(shared, {name: rows[member] for name, rows in self.stops.items()})
+        return changed_stops(shared, {name: rows[member] for name, rows in self.stops.items()})
 
     def _refuse_starts_beyond_stops(self, scene: Scene, x: Array) -> None:
         """Raise RejectedValuesError if stops of members are not valid, or exclude their start."""
