@@ -161,9 +161,9 @@ def parse_stops(value: Any, system: System) -> dict[str, Stop]:
 
 
 def is_number_of_stop(name: str, system: System) -> bool:
-    """Return whether a name has the form "stops.JOINT.NUMBER" with a joint of a system."""
-    first, dot, joint = name.rpartition(".")[0].partition(".")
-    return bool(first == "stops" and dot and joint in {each.name for each in system.tree.joints})
+    """Return whether a name has the form "JOINT.stop.NUMBER" with a joint of a system."""
+    joint, dots, _ = name.rpartition(".stop.")
+    return bool(dots) and joint in {each.name for each in system.tree.joints}
 
 
 def number_of_stop(stops: Mapping[str, Stop], name: str, what: str) -> float:
@@ -171,7 +171,7 @@ def number_of_stop(stops: Mapping[str, Stop], name: str, what: str) -> float:
 
     Args:
         stops: {joint: its stops}.
-        name: Name of the number, such as "stops.elbow.restitution".
+        name: Name of the number, such as "elbow.stop.restitution".
         what: The argument that contains the name, for messages.
     Returns:
         The number.
@@ -203,7 +203,7 @@ def changed_stops(stops: Mapping[str, Stop], numbers: Mapping[str, float]) -> di
 
     Args:
         stops: {joint: its stops}.
-        numbers: Values by name, such as {"stops.elbow.restitution": 0.5}.
+        numbers: Values by name, such as {"elbow.stop.restitution": 0.5}.
     Returns:
         The stops.
     Raises:
@@ -224,8 +224,8 @@ def changed_stops(stops: Mapping[str, Stop], numbers: Mapping[str, float]) -> di
 
 
 def _parts_of_name(name: str) -> tuple[str, str]:
-    """Return joint and number of a name such as "stops.elbow.restitution"."""
-    joint, _, field = name.removeprefix("stops.").rpartition(".")
+    """Return joint and number of a name such as "elbow.stop.restitution"."""
+    joint, _, field = name.rpartition(".stop.")
     return joint, field
 
 

@@ -62,7 +62,7 @@ def simulate_many(
         system: A System; or a Scene whose options apply unless `options` replaces them; or a list
             of Scenes of one System with equal report times, one for each member.
         members: Values by name, (N, …): initial states, Parameters, parameters of the robot,
-            numbers of joint stops, such as "stops.elbow.restitution", and gravity, (N, 3), in the
+            numbers of joint stops, such as "elbow.stop.restitution", and gravity, (N, 3), in the
             world frame [m/s²].
         seeds: Seeds of random initial states, (N,), one for each member.
         threads: Number of threads; as many as processors if None.

@@ -244,7 +244,7 @@ def _unit(system: System, name: str, label: str) -> str:
 
 def _unit_of_stop(system: System, key: str) -> str:
     """Return the unit of a number of a stop."""
-    joint, field = key.removeprefix("stops.").rsplit(".", 1)
+    joint, _, field = key.rpartition(".stop.")
     unit = {each.name: each.kind.units[0] for each in system.tree.joints}[joint]
     return {"restitution": "1", "rest_rate": f"{unit}/s"}.get(field, unit)
 
@@ -349,7 +349,7 @@ def _hint(scene: Scene, key: str) -> str:
     others += [f"forces[{k}].{name}" for k, f in enumerate(forces) for name in _numbers_of(f)]
     others += [f"controls.{name}" for name in _constant_controls(scene)]
     others += [
-        f"stops.{joint}.{end}"
+        f"{joint}.stop.{end}"
         for joint, stop in parse_stops(scene.stops, system).items()
         for end in numbers_of_stop(stop)
     ]

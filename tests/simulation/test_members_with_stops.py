@@ -48,15 +48,15 @@ def test_members_have_the_bits_of_simulate_and_pass_the_comparison() -> None:
     varied: dict[str, Any] = {
         "gain": [0.0, 0.05, 0.1], "front.mass": [4.0, 5.0, 6.0],
         "gravity": [[0.0, 0.0, -9.81], [0.0, 0.0, 0.0], [1.0, 2.0, 3.0]], "xdot0": RATES,
-        "stops.sway.restitution": [0.0, 0.5, 1.0], "stops.bend.lower": [-0.1, -0.2, -0.3],
+        "sway.stop.restitution": [0.0, 0.5, 1.0], "bend.stop.lower": [-0.1, -0.2, -0.3],
     }  # fmt: skip
     options: dict[str, Any] = {"forces": [Damper("bend", gain)], "duration": 0.7}
     many = pinred.simulate_many(CAT, members=varied, stops=STOPS, **options)
     for k in range(3):
         parameters = {name: varied[name][k] for name in ("gain", "front.mass", "gravity")}
         stops = {
-            "bend": pinred.Stop(varied["stops.bend.lower"][k], 0.6),
-            "sway": pinred.Stop(-0.5, 0.5, varied["stops.sway.restitution"][k]),
+            "bend": pinred.Stop(varied["bend.stop.lower"][k], 0.6),
+            "sway": pinred.Stop(-0.5, 0.5, varied["sway.stop.restitution"][k]),
         }
         alone = pinred.simulate(CAT, xdot0=RATES[k], parameters=parameters, stops=stops, **options)
         np.testing.assert_array_equal(many.q[k], alone.q)
@@ -85,7 +85,7 @@ def test_numbers_of_stops_vary_as_in_the_closed_form() -> None:
     lower, e = np.array([0.0, 0.1, 0.2]), np.array([0.25, 0.5, 1.0])
     numbers = {
         # Both bounds change at once: each of them alone would exclude the other one.
-        "stops.slide.lower": lower, "stops.slide.upper": lower + 9.0, "stops.slide.restitution": e,
+        "slide.stop.lower": lower, "slide.stop.upper": lower + 9.0, "slide.stop.restitution": e,
     }  # fmt: skip
     many = pinred.simulate_many(
         bouncing_slide(), members=numbers, x0=[0.5], xdot0=[-1.0], xi0=[0.0], duration=1.0,
@@ -123,8 +123,8 @@ def test_rejected_members_do_not_affect_the_others() -> None:
         many = pinred.simulate_many(
             CAT, members={
                 "x0": [[0.1, 0, 0], [0.7, 0, 0], [0.1, 0, 0], [0.1, 0, 0]],
-                "stops.sway.restitution": [0.5, 0.5, 1.5, 0.5],
-                "stops.bend.lower": [-0.6, -0.6, -0.6, 0.2],
+                "sway.stop.restitution": [0.5, 0.5, 1.5, 0.5],
+                "bend.stop.lower": [-0.6, -0.6, -0.6, 0.2],
             }, duration=0.1, stops=STOPS,
         )  # fmt: skip
     reasons = {failure.member: failure.reason for failure in many.failures}
@@ -267,16 +267,16 @@ def bouncing_pair_of_hinges() -> pinred.System:
     [
         ({"device": "cuda"}, "joints come to rest at their stops at different times. Omit device"),
         ({"method": "Gauss(0.01, 8)"}, "stops: expected none with method Gauss8"),
-        ({"members": {"stops.twist.lower": [0.1, 0.2]}}, "stops of 'twist', got stops of bend"),
-        ({"stops": None, "members": {"stops.bend.lower": [0.1, 0.2]}}, "got stops of no joint"),
-        ({"members": {"stops.bend.lowest": [0.1, 0.2]}}, "got 'lowest'; did you mean 'lower'"),
-        ({"members": {"stops.bent.lower": [0.1, 0.2]}}, "'stops.bent.lower' cannot vary"),
-        ({"members": {"stops.bend.lower": [0.1, 0.2, 0.3]}}, "stops.bend.lower: 3"),
+        ({"members": {"twist.stop.lower": [0.1, 0.2]}}, "stops of 'twist', got stops of bend"),
+        ({"stops": None, "members": {"bend.stop.lower": [0.1, 0.2]}}, "got stops of no joint"),
+        ({"members": {"bend.stop.lowest": [0.1, 0.2]}}, "got 'lowest'; did you mean 'lower'"),
+        ({"members": {"bent.stop.lower": [0.1, 0.2]}}, "'bent.stop.lower' cannot vary"),
+        ({"members": {"bend.stop.lower": [0.1, 0.2, 0.3]}}, "bend.stop.lower: 3"),
         ({"stops": {"bent": (-1.0, 1.0)}}, "did you mean 'bend'"),
-        ({"members": {"stops.bend.lower": 0.5}}, r"must have shape \(N,\), got \(\)"),
-        ({"members": {"stops.bend.lower": None}}, "stops.bend.lower"),
-        ({"members": {"stops.bend.lower": [[0.1], [0.2]]}}, r"got \(2, 1\)"),
-        ({"members": {"stops.bend.lower": [0.1, np.nan]}}, "must be finite"),
+        ({"members": {"bend.stop.lower": 0.5}}, r"must have shape \(N,\), got \(\)"),
+        ({"members": {"bend.stop.lower": None}}, "bend.stop.lower"),
+        ({"members": {"bend.stop.lower": [[0.1], [0.2]]}}, r"got \(2, 1\)"),
+        ({"members": {"bend.stop.lower": [0.1, np.nan]}}, "must be finite"),
     ],
 )  # fmt: skip
 def test_refusals_of_batches_have_a_remedy(options: dict[str, Any], message: str) -> None:

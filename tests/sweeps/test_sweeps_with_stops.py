@@ -37,7 +37,7 @@ def slide_scene(**options: Any) -> Scene:
 @pytest.mark.filterwarnings("ignore::pinred.RejectedWarning")
 def test_outputs_of_impacts_have_the_closed_form() -> None:
     """A slide of 0.75 kg loses ½ m (1 − e²) v² at its stop, unless it never arrives."""
-    vary = {"xdot0.slide": [-1.0, -2.0, -0.1], "stops.slide.restitution": [0.5, 1.0, 1.5]}
+    vary = {"xdot0.slide": [-1.0, -2.0, -0.1], "slide.stop.restitution": [0.5, 1.0, 1.5]}
     outputs = ["impacts", "impacts.slide", "first_impact", "energy_lost", "energy_lost.slide"]
     result = pinred.sweep(slide_scene(), vary, outputs=outputs)
     v = np.repeat([1.0, 2.0, 0.1], 3)
@@ -52,13 +52,13 @@ def test_outputs_of_impacts_have_the_closed_form() -> None:
         np.testing.assert_allclose(result[name], lost, rtol=1e-12, atol=1e-13)
     assert [result[name].attrs["units"] for name in outputs] == ["1", "1", "s", "J", "J"]
     assert [failure.member for failure in result.failures] == [2, 5, 8]
-    assert result["stops.slide.restitution"].attrs["units"] == "1"
+    assert result["slide.stop.restitution"].attrs["units"] == "1"
 
 
 def test_points_have_the_bits_of_simulate() -> None:
     """Stored numbers, single points and simulations of the same scene agree bit for bit."""
     scene = Scene(system=CAT, xdot0=[3.0, -2.0, 1.0], duration=0.5, stops=STOPS)
-    vary = {"front.mass": [4.0, 6.0], "stops.bend.upper": [0.3, 0.5]}
+    vary = {"front.mass": [4.0, 6.0], "bend.stop.upper": [0.3, 0.5]}
     result = pinred.sweep(scene, vary, outputs=["x", "impacts"])
     for k, (mass, upper) in enumerate([(4.0, 0.3), (4.0, 0.5), (6.0, 0.3), (6.0, 0.5)]):
         alone = pinred.simulate(
@@ -69,7 +69,7 @@ def test_points_have_the_bits_of_simulate() -> None:
         np.testing.assert_array_equal(result.point(k).x, alone.x)
         np.testing.assert_array_equal(result.point(k).impacts.t, alone.impacts.t)
         assert result["impacts"].values[k] == len(alone.impacts.times)
-    assert result["stops.bend.upper"].attrs["units"] == "rad"
+    assert result["bend.stop.upper"].attrs["units"] == "rad"
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_worker_computes_the_numbers_of_this_process() -> None:
     """The job of a worker is a pickle, whose scene keeps its stops."""
     scene = Scene(system=CAT, xdot0=[3.0, -2.0, 1.0], duration=0.5, stops=STOPS)
     job = sweep_module._job(
-        scene, {"stops.sway.restitution": [0.2, 0.8]}, None, None, 0, ["x", "energy_lost"], 2
+        scene, {"sway.stop.restitution": [0.2, 0.8]}, None, None, 0, ["x", "energy_lost"], 2
     )
     here, there = job.compute(0, None), pickle.loads(pickle.dumps(job)).compute(0, None)
     for name, values in here.outputs.items():
@@ -135,8 +135,8 @@ def test_worker_computes_the_numbers_of_this_process() -> None:
     [
         ({"stops": None}, {"xdot0.slide": [1.0]}, ["impacts"], "'impacts': expected a scene with"),
         ({}, {"xdot0.slide": [1.0]}, ["impacts.slid"], "did you mean 'slide'"),
-        ({"stops": None}, {"stops.slide.lower": [0.1]}, ["x"], "got stops of no joint"),
-        ({}, {"stops.slide.lowest": [0.1]}, ["x"], "got 'lowest'; did you mean 'lower'"),
+        ({"stops": None}, {"slide.stop.lower": [0.1]}, ["x"], "got stops of no joint"),
+        ({}, {"slide.stop.lowest": [0.1]}, ["x"], "got 'lowest'; did you mean 'lower'"),
         ({"method": "Gauss(0.01, 8)"}, {"xdot0.slide": [1.0]}, ["x"], "none with method Gauss8"),
     ],
 )
@@ -162,7 +162,7 @@ outputs = ["impacts", "first_impact", "energy_lost", "x"]
 store = "s.zarr"
 [sweep.vary]
 "xdot0.bend" = [1.0, 3.0]
-stops.sway.restitution = [0.0, 0.6]
+sway.stop.restitution = [0.0, 0.6]
 """
 
 
@@ -175,7 +175,7 @@ def test_command_sweeps_a_file_with_stops(
     assert main(["sweep", str(file)]) == 0
     assert "energy_lost [J]: " in capsys.readouterr().out
     scene = Scene(system=CAT, xdot0=[3.0, -2.0, 1.0], duration=0.5, stops=STOPS)
-    vary = {"xdot0.bend": [1.0, 3.0], "stops.sway.restitution": [0.0, 0.6]}
+    vary = {"xdot0.bend": [1.0, 3.0], "sway.stop.restitution": [0.0, 0.6]}
     expected = pinred.sweep(scene, vary, outputs=["impacts", "first_impact", "energy_lost", "x"])
     result = pinred.open_sweep(tmp_path / "s.zarr")
     for name in expected.data_vars:
