@@ -101,7 +101,14 @@ def run_run(arguments: argparse.Namespace) -> int:
     scene = file.scene
     if parameters := parameters_in(arguments.parameters):
         scene = as_scene(scene, {"parameters": parameters}, "run")
-    explanation = explain(plan_of(scene))  # This also verifies that the scene can be simulated.
+    engine, check = arguments.engine or file.engine, bool(arguments.check or file.check)
+    checkpoint = arguments.checkpoint or file.checkpoint
+    plan = plan_of(scene)
+    explanation = explain(plan)  # This also verifies that the scene can be simulated.
+    if scene.bounds:
+        from ..simulation.run_with_stops import refuse_with_stops
+
+        refuse_with_stops(plan, engine, check=check, checkpoint=checkpoint is not None)
     if arguments.explain:
         print(explanation)
     elif note := large_angles(scene.given.x[0], scene.system):
@@ -110,8 +117,6 @@ def run_run(arguments: argparse.Namespace) -> int:
         print(f"ok: {_title(scene)}")
         return 0
     path = None if arguments.out is None else check_path(arguments.out, SUFFIXES, folders=FOLDERS)
-    engine, check = arguments.engine or file.engine, bool(arguments.check or file.check)
-    checkpoint = arguments.checkpoint or file.checkpoint
     traj = simulate(scene, engine=engine, check=check, checkpoint=checkpoint, progress=True)
     print(summary_of_run(traj))
     if path is not None:

@@ -76,7 +76,7 @@ from .scene_options import (
 from .scene_options import ENGINES as ENGINES
 from .scene_options import Engine as Engine
 from .scene_structure import MOST_STRUCTURES, Shared, structure_key
-from .stop import Bound, bounds_of, check_start, parse_stops
+from .stop import Bound, bounds_of, parse_stops, starts_beyond
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
@@ -267,14 +267,17 @@ class Scene(SceneFields):
         """Check and store the initial state that the options state.
 
         The scene has copies of arrays and lists, because a caller may change them afterwards.
+
+        Raises:
+            InputError: The state is not valid, or lies outside the stops.
         """
         values = vars(self)
         for name in ARRAYS_OF_STATE:
             if values[name] is not None:
                 values[name] = copied(values[name])
         values["_given"] = given = self._resolve()
-        if self.bounds:
-            check_start(self.bounds, given.x[0])
+        if self.bounds and (reasons := starts_beyond(self.bounds, given.x)):
+            raise InputError(reasons[0])
 
     def _check_structure(self) -> Shared:
         """Check all options except the numbers of the initial state; return these options."""
@@ -633,6 +636,13 @@ def _controls(controls: Any) -> list[tuple[str, str]]:
     return [(f"control {name}", repr(control)) for name, control in controls.items()]
 
 
+def _stops(stops: Any) -> list[tuple[str, str]]:
+    """Return a row for each joint with stops, or one for those of the file."""
+    if isinstance(stops, str):
+        return [("stops", repr(stops))]
+    return [(f"stops {name}", repr(stop)) for name, stop in (stops or {}).items()]
+
+
 def scene_card(scene: Any) -> str:
     """Return the initial state, the forces and the settings of a Scene as HTML."""
     system, start = scene.system, scene.start
@@ -649,6 +659,7 @@ def scene_card(scene: Any) -> str:
         *((f"{force.label}, of the file", repr(force)) for force in scene.own_forces),
         *_controls(scene.controls),
         *((f"prescribed {name}", repr(plan)) for name, plan in scene.prescribed.items()),
+        *_stops(scene.stops),
         *([("hold", scene.hold)] if scene.hold else []),
     ]
     method = scene.integrator or scene.method

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -160,6 +160,75 @@ def parse_stops(value: Any, system: System) -> dict[str, Stop]:
     return {name: stops[name] for name in joints if name in stops}
 
 
+def is_number_of_stop(name: str, system: System) -> bool:
+    """Return whether a name has the form "JOINT.stop.NUMBER" with a joint of a system."""
+    joint, dots, _ = name.rpartition(".stop.")
+    return bool(dots) and joint in {each.name for each in system.tree.joints}
+
+
+def number_of_stop(stops: Mapping[str, Stop], name: str, what: str) -> float:
+    """Return the number of a stop that a name states.
+
+    Args:
+        stops: {joint: its stops}.
+        name: Name of the number, such as "elbow.stop.restitution".
+        what: The argument that contains the name, for messages.
+    Returns:
+        The number.
+    Raises:
+        InputError: The scene states no stops of this joint, or they have no such number.
+    """
+    joint, field = _parts_of_name(name)
+    if joint not in stops:
+        raise InputError(
+            f"{what}: {quoted(name)}: expected a scene with stops of {quoted(joint)}, got stops of "
+            f"{listed(list(stops), 8) or 'no joint'}. Add {quoted(joint)} to its stops"
+        )
+    numbers = numbers_of_stop(stops[joint])
+    if field not in numbers:
+        raise InputError(
+            f"{what}: {quoted(name)}: expected one of the numbers {', '.join(numbers)} of a stop, "
+            f"got {quoted(field)}; {nearest(field, numbers)}".rstrip("; ")
+        )
+    return float(getattr(stops[joint], field))
+
+
+def numbers_of_stop(stop: Stop) -> list[str]:
+    """Return the names of the numbers of a stop."""
+    return [name for name, value in vars(stop).items() if isinstance(value, float)]
+
+
+def changed_stops(stops: Mapping[str, Stop], numbers: Mapping[str, float]) -> dict[str, Stop]:
+    """Return stops with other numbers.
+
+    Args:
+        stops: {joint: its stops}.
+        numbers: Values by name, such as {"elbow.stop.restitution": 0.5}.
+    Returns:
+        The stops.
+    Raises:
+        InputError: A joint has no stops, or a number is not valid.
+    """
+    changes: dict[str, dict[str, float]] = {}
+    for name, value in numbers.items():
+        number_of_stop(stops, name, "members")
+        joint, field = _parts_of_name(name)
+        changes.setdefault(joint, {})[field] = value
+    changed = dict(stops)
+    for joint, values in changes.items():
+        try:
+            changed[joint] = replace(changed[joint], **values)
+        except InputError as error:
+            raise InputError(f"stops['{joint}']: {error}") from None
+    return changed
+
+
+def _parts_of_name(name: str) -> tuple[str, str]:
+    """Return joint and number of a name such as "elbow.stop.restitution"."""
+    joint, _, field = name.rpartition(".stop.")
+    return joint, field
+
+
 def bounds_of(system: System, stops: Mapping[str, Stop]) -> tuple[Bound, ...]:
     """Return the bounds that stops put on independent joints, at most two for each.
 
@@ -194,17 +263,27 @@ def bounds_of(system: System, stops: Mapping[str, Stop]) -> tuple[Bound, ...]:
     return tuple(tightest.values())
 
 
-def check_start(bounds: tuple[Bound, ...], x: Array) -> None:
-    """Raise InputError if an initial shape (nx,) lies outside its stops."""
+def starts_beyond(bounds: tuple[Bound, ...], x: Array) -> dict[int, str]:
+    """Describe the initial shapes that lie outside their stops.
+
+    Args:
+        bounds: The bounds.
+        x: Initial shapes, (N, nx) [rad | m | 1].
+    Returns:
+        {index of the shape: why it is refused}.
+    """
+    reasons: dict[int, str] = {}
     for bound in bounds:
-        beyond = bound.sign * (bound.position - float(x[bound.x]))
-        if beyond > _WITHIN * max(1.0, abs(bound.position)):
-            stop = bound.stop
-            raise InputError(
-                f"stops: the initial position of joint '{bound.joint}' is {beyond:.3g} beyond its "
-                f"{bound.side} stop (lower {stop.lower:g}, upper {stop.upper:g}). Start within the "
-                "stops (x0=), or widen them"
+        beyond = bound.sign * (bound.position - x[:, bound.x])
+        stop = bound.stop
+        for k in np.flatnonzero(beyond > _WITHIN * max(1.0, abs(bound.position))).tolist():
+            reasons.setdefault(
+                k,
+                f"stops: the initial position of joint '{bound.joint}' is {beyond[k]:.3g} beyond "
+                f"its {bound.side} stop (lower {stop.lower:g}, upper {stop.upper:g}). Start within "
+                "the stops (x0=), or widen them",
             )
+    return reasons
 
 
 def _leader(system: System, name: str, x: int, v: int) -> tuple[int, int, float, float]:

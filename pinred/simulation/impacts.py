@@ -9,13 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays
+from ..system.coordinates import Indices
 
+_TEXTS = ("joint", "side")  # columns of texts
 _PIVOTS = 1e-13  # Impulses below this fraction of the largest count as zero when sets are chosen.
 
 
@@ -107,6 +111,77 @@ class Impact:
     energy_lost: Array
 
 
+@checks_arguments
+@dataclass(frozen=True)
+class MemberImpacts(ImpactTable):
+    """The impacts of all members of simulate_many; rows are sorted by member, then by time.
+
+    Members that failed have no rows.
+
+    Attributes:
+        member: Indices of the members, (K,).
+        count: Number of members N.
+    """
+
+    member: Indices
+    count: int
+
+    @classmethod
+    def of(cls, tables: Mapping[int, ImpactTable], count: int, r: int) -> MemberImpacts:
+        """Return the table of some members.
+
+        Args:
+            tables: Tables by member.
+            count: Number of members.
+            r: Number of momentum components.
+        Returns:
+            The table.
+        """
+        ordered = {member: tables[member] for member in sorted(tables)}
+        columns: dict[str, Any] = {}
+        for name in ImpactTable.__dataclass_fields__:
+            parts = [getattr(table, name) for table in (no_impacts(r), *ordered.values())]
+            texts = name in _TEXTS
+            columns[name] = tuple(chain.from_iterable(parts)) if texts else np.concatenate(parts)
+        members = np.array([*ordered], dtype=np.int64)
+        columns["member"] = np.repeat(members, [len(table) for table in ordered.values()])
+        return cls(**columns, count=count)
+
+    @cached_property
+    def counts(self) -> Indices:
+        """Number of impacts of each member, (N,)."""
+        distinct = np.append(True, (np.diff(self.member) > 0) | (np.diff(self.t) > 0.0))
+        return np.bincount(self.member[distinct[: len(self)]], minlength=self.count)
+
+    def of_member(self, member: int) -> ImpactTable:
+        """Return the impacts of one member.
+
+        Args:
+            member: Index of the member.
+        Returns:
+            The table.
+        """
+        member = range(self.count)[member]
+        first, last = np.searchsorted(self.member, [member, member + 1]).tolist()
+        names = ImpactTable.__dataclass_fields__
+        return ImpactTable(**{name: getattr(self, name)[first:last] for name in names})
+
+    def __str__(self) -> str:
+        if not len(self):
+            return super().__str__()
+        head, *lines = super().__str__().splitlines()
+        rows = zip(self.member.tolist(), lines, strict=True)
+        return "\n".join([f"{'member':>8}{head}", *(f"{k:>8}{line}" for k, line in rows)])
+
+    def _repr_html_(self) -> str:
+        from ..common.html import card, table
+
+        about = f"{self.counts.sum()} impacts, {self.energy_lost.sum():.4g} J lost"
+        rows = [(k, *row) for k, row in zip(self.member.tolist(), self.rows, strict=True)]
+        names = ["member", "t [s]", "joint", "stop", "impulse", "lost [J]"]
+        return card(f"impacts of {self.count} members", about, table("", names, rows))
+
+
 def table_of(impacts: Sequence[Impact], momenta: Array) -> ImpactTable:
     """Return the table of impacts, with spatial momenta before and after each, (I, 2, r)."""
     counts = [len(each.joint) for each in impacts]
@@ -128,11 +203,33 @@ def table_of(impacts: Sequence[Impact], momenta: Array) -> ImpactTable:
 _IN_FILES = "impact_"  # beginning of the names of a table's arrays in files
 
 
-def impact_arrays(table: ImpactTable) -> dict[str, Array]:
+def impact_arrays(table: ImpactTable | None) -> dict[str, Any]:
     """Return the arrays of a table for a file, {name: array}; empty without impacts."""
-    if not len(table):
+    if table is None or not len(table):
         return {}
-    return {f"{_IN_FILES}{name}": np.array(column) for name, column in vars(table).items()}
+    columns = (*ImpactTable.__dataclass_fields__, *(["member"] * hasattr(table, "member")))
+    return {f"{_IN_FILES}{name}": np.array(getattr(table, name)) for name in columns}
+
+
+def member_table_in(content: Mapping[str, Any], r: int, count: int) -> MemberImpacts:
+    """Return the table of impacts in the arrays of a file of members.
+
+    Args:
+        content: Arrays of a file by name.
+        r: Number of momentum components.
+        count: Number of members.
+    Returns:
+        The table; without rows if the file has no impacts.
+    Raises:
+        ValueError: An array is missing, or has the wrong shape or type.
+    """
+    table = table_in(content, r)
+    member = np.asarray(content.get(f"{_IN_FILES}member", np.zeros(0, int)))
+    is_sorted = member.dtype.kind == "i" and member.shape == (len(table),)
+    if not is_sorted or (np.diff(member, prepend=0, append=count - 1) < 0).any():
+        raise ValueError("its impacts have no sorted members")
+    columns = {name: getattr(table, name) for name in ImpactTable.__dataclass_fields__}
+    return MemberImpacts(**columns, member=member, count=count)
 
 
 def table_in(content: Mapping[str, Any], r: int) -> ImpactTable:
@@ -151,7 +248,7 @@ def table_in(content: Mapping[str, Any], r: int) -> ImpactTable:
     count, columns = np.size(content[f"{_IN_FILES}t"]), dict[str, Any]()
     for name in ImpactTable.__dataclass_fields__:
         values = np.asarray(content.get(f"{_IN_FILES}{name}"))
-        if name in ("joint", "side"):
+        if name in _TEXTS:
             if values.shape != (count,) or values.dtype.kind != "U":
                 raise ValueError(f"its impacts have no {name} of each")
             columns[name] = tuple(map(str, values))

@@ -20,6 +20,7 @@ from ..system.state_fields import (
     with_base,
 )
 from ..system.system import System
+from .impacts import impact_arrays
 
 
 @checks_arguments
@@ -44,7 +45,8 @@ class OverTime(StateArrays):
     def to_xarray(self) -> Any:
         """Return the states as an xarray.Dataset with named joints, units and long names.
 
-        Trajectories have `torques` of the joints, too.
+        Trajectories have `torques` of the joints, too.  The columns of impacts at joint stops are
+        variables over impact, such as `impact_t`, if there are any.
 
         Returns:
             Dataset over t, or over member and t for the members of simulate_many.
@@ -70,6 +72,9 @@ class OverTime(StateArrays):
             variables[name] = ((*leading, last), values, field_attributes(system, name))
             coordinates[last] = list(labels[axis])
         variables |= self._further_variables()
+        for name, values in impact_arrays(getattr(self, "impacts", None)).items():
+            dims = ("impact", dimension(system, "twist"))[: values.ndim]
+            variables[name] = (dims, values, {"units": "s"} if name == "impact_t" else {})
         attributes = {"robot": system.name, "group": system.group.name}
         return xarray.Dataset(variables, coordinates, attributes)
 

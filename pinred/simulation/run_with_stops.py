@@ -52,6 +52,7 @@ _CLINGING = 1e-12  # Pull of a stop that counts as round-off, per kinetic energy
 _AT_REST = 1e-13  # Rate at a stop that counts as zero, relative to the largest rate.
 _NEWTON = 0.6  # Largest part of a step in which a single root is polished.
 _MOST_NEWTON, _SAME = 100, 1e-16  # Steps for a root, and the change at which it is found.
+_MOST_AT_ONCE = 100  # Largest number of successive impacts without time between them.
 MOST_IMPACTS = 100_000  # Largest number of impacts of one run.
 
 Rest = tuple[Bound, ...]
@@ -410,7 +411,7 @@ class _Run:
         )
         # Rates that impacts change, and the index of each rate among them.
         self._rates = list(plan.acting.free)
-        self._impacts, self.building = 0, 0.0
+        self._impacts, self._at_once, self.building = 0, 0, 0.0
         watched = self.scene.watched
         self.watch = None if watched is None else Watch(self.scene, self.first, watched)
 
@@ -472,11 +473,14 @@ class _Run:
             segment = mode.integrate(t, stop, read_only(y), parameters, search.look)
             is_hit = search.look(segment)
             parts = cut_at(search.found[0][0], segment, mode.integrate) if is_hit else [segment]
-            if not parts:
+            self._at_once = 0 if parts else self._at_once + 1
+            if self._at_once > _MOST_AT_ONCE:
                 raise IntegrationError(
                     f"stops: '{self.system.name}' cannot leave its stop at t = {t:g} s. Increase "
                     "rest_rate, or loosen the tolerances"
                 )
+            if not parts:  # A force that jumps, or another impact, acts on a joint at its stop.
+                return _State(t, flow, y), search
             for part in parts:
                 ended = self.watch is not None and self.watch.look(part)
                 if ended and self.watch is not None and self.watch.end is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Literal, Unpack
@@ -59,8 +60,9 @@ def simulate_many(
     Args:
         system: A System; or a Scene whose options apply unless `options` replaces them; or a list
             of Scenes of one System with equal report times, one for each member.
-        members: Values by name, (N, …): initial states, Parameters, parameters of the robot, and
-            gravity, (N, 3), in the world frame [m/s²].
+        members: Values by name, (N, …): initial states, Parameters, parameters of the robot,
+            numbers of joint stops, such as "elbow.stop.restitution", and gravity, (N, 3), in the
+            world frame [m/s²].
         seeds: Seeds of random initial states, (N,), one for each member.
         threads: Number of threads; as many as processors if None.
         device: "cuda" to integrate each member in a thread of a CUDA device, with DOP853 or Tsit5;
@@ -105,8 +107,13 @@ def simulate_many(
         print(_explained(resolved, device))
     name = resolved.groups[0].plan.system.name
     what = f"simulates {resolved.count} members of '{name}'"
+    modes = Counter[str]()
     with shown(progress, f"simulating {resolved.count} of {name}", what=what) as done:
-        return run_members(resolved, threads, done, rejected, device)
+        trajectories = run_members(resolved, threads, done, rejected, device, modes)
+    if explain:
+        for label, count in sorted(modes.items(), key=lambda mode: (-mode[1], mode[0])):
+            print(f"mode: {label}, in {count} members")
+    return trajectories
 
 
 def _checked(seeds: Sequence[int] | None) -> list[int] | None:
@@ -160,6 +167,7 @@ def run_members(
     progress: Callable[[float], None] | None,
     rejected: Sequence[Failure] = (),
     device: str | None = None,
+    modes: Counter[str] | None = None,
 ) -> Trajectories:
     """Integrate members.
 
@@ -169,12 +177,17 @@ def run_members(
         progress: Called with the completed fraction of the members.
         rejected: Failures of the members that belong to no group.
         device: "cuda" to integrate on a CUDA device, None for the CPU.
+        modes: The number of members is added for each mode of motions with joint stops.
     Returns:
         The trajectories of all members.
     """
     for group in members.groups:
         if not group.one_by_one:
             expect_members(group.plan.method)
+        elif group.plan.scene.bounds:
+            from .run_with_stops import refuse_with_stops
+
+            refuse_with_stops(group.plan, "compiled", check=False, checkpoint=False)
     from .compiled.compiled_flow import flows_of
     from .members.closed_members import reject_singular
     from .members.integrate_members import integrate_members
@@ -190,10 +203,17 @@ def run_members(
 
     for group in members.groups:
         if group.one_by_one:
+            has_stops = bool(group.plan.scene.bounds)
+            # Prescribed joints of a member may run into stops of the file.
+            failing = (IntegrationError, InputError) if has_stops else IntegrationError
             for member in group.members.tolist():
                 try:
-                    single[member] = trajectory_of(members.scene_of(member))
-                except IntegrationError as error:
+                    traj = trajectory_of(members.scene_of(member))
+                    if modes is not None and has_stops:
+                        modes.update({label for _, label in traj.motion.modes})
+                    # The segments of a motion with stops take more memory than its states.
+                    single[member] = traj.without_motion() if has_stops else traj
+                except failing as error:
                     time = getattr(error, "time", float("nan"))
                     failures.append(Failure(member, time, str(error)))
                 done += 1

@@ -87,6 +87,12 @@ class Trajectory(OverTime):
     def __reduce__(self) -> tuple[Any, ...]:
         return Trajectory, (self.scene, None, self.run, self._again, self.outputs)
 
+    def without_motion(self) -> Trajectory:
+        """Return a copy with states and impacts, which integrates its motion again if needed."""
+        copy = Trajectory(self.scene, None, self.run, self._again, self.outputs)
+        vars(copy)["impacts"] = self.impacts
+        return copy
+
     @property
     def motion(self) -> Motion:
         """The motion at all times; it is integrated again after unpickling."""

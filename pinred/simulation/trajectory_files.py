@@ -88,8 +88,8 @@ def _write_keyframes(traj: OverTime, file: BinaryIO) -> None:
 
 def _arrays(traj: OverTime) -> dict[str, Any]:
     arrays = {**robot_arrays(traj.system), **arrays_of(traj.outputs)}
-    table: ImpactTable | None = getattr(traj, "impacts", None)  # batches have none
-    return arrays if table is None else arrays | impact_arrays(table)
+    table: ImpactTable | None = getattr(traj, "impacts", None)
+    return arrays | impact_arrays(table)
 
 
 def robot_arrays(system: System) -> dict[str, Any]:
@@ -299,7 +299,10 @@ def _dims_of(name: str, array: Any, system: System, members: int) -> tuple[str, 
         axis = FIELDS[name].axis
         leading = ("t",) if name == "t" or not members else ("member", "t")
         return leading if axis is None else (*leading, dimension(system, axis))
-    leading = ("member",) if members and np.shape(array)[:1] == (members,) else ()
+    if name.startswith("impact_"):
+        leading = ("impact",)
+    else:
+        leading = ("member",) if members and np.shape(array)[:1] == (members,) else ()
     return (*leading, *(f"{name}_{k}" for k in range(len(leading), np.ndim(array))))
 
 

@@ -243,6 +243,10 @@ def _job(
     # All points have one method, which does not depend on the first point of a block.
     if varied.scene.method == "auto":
         varied.scene = replace(varied.scene, method=members_plan(varied.scene).method.name)
+    if varied.scene.bounds:
+        from ..simulation.run_with_stops import refuse_with_stops
+
+        refuse_with_stops(members_plan(varied.scene), "compiled", check=False, checkpoint=False)
     sequence = PointSequence.of(chosen, laws, count, whole(seed, "seed", 0))
     size = min(whole(block, "block", 1), count)  # Chunks have the size of a block.
     return SweepJob(varied, sequence, parse_outputs(varied.scene, outputs), size)

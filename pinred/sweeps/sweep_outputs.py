@@ -85,11 +85,13 @@ class Measure:
         kind: A name in MEASURES.
         entry: Index of a joint, or of a coordinate of a position; None for the largest or for all.
         frame: Name of the frame whose position is stored.
+        joint: Name of the joint whose impacts count; "" for all.
     """
 
     kind: str
     entry: int | None
     frame: str = ""
+    joint: str = ""
 
     def __call__(self, many: Trajectories) -> Array:
         """Return one row for each member; NaN for members that did not reach their end.
@@ -100,7 +102,7 @@ class Measure:
         rows: Array = getattr(self, f"_{self.kind}")(many)
         if self.entry is not None:
             return np.asarray(rows[:, self.entry])
-        return np.asarray(rows if self.kind in ("position", "turn") else rows.max(axis=1))
+        return np.asarray(rows.max(axis=1) if self.kind in _OF_JOINTS else rows)
 
     def _turn(self, many: Trajectories) -> Array:
         group, pose = many.system.group, many.fields(["pose"])["pose"]
@@ -122,6 +124,34 @@ class Measure:
                 rows[k] = np.abs(many[k].torques).max(axis=0)
         return rows
 
+    def _impacts(self, many: Trajectories) -> Array:
+        return self._of_impacts(many, 0.0, lambda t, _: len(np.unique(t)))
+
+    def _first_impact(self, many: Trajectories) -> Array:
+        return self._of_impacts(many, np.nan, lambda t, _: t[0])
+
+    def _energy_lost(self, many: Trajectories) -> Array:
+        return self._of_impacts(many, 0.0, lambda _, lost: lost.sum())
+
+    def _of_impacts(
+        self, many: Trajectories, none: float, value: Callable[[Array, Array], float]
+    ) -> Array:
+        """Return a number of each member, (N,), from the times and losses of its impacts.
+
+        Args:
+            many: The members.
+            none: The number of members without impacts.
+            value: Function of the times and the lost energies of the impacts of a member.
+        """
+        rows = np.full(len(many), none)
+        for member in np.unique(many.impacts.member).tolist():
+            table = many.impacts.of_member(member)
+            counts = np.array([self.joint in ("", name) for name in table.joint])
+            if counts.any():
+                rows[member] = value(table.t[counts], table.energy_lost[counts])
+        rows[[failure.member for failure in many.failures]] = np.nan
+        return rows
+
     def _position(self, many: Trajectories) -> Array:
         failed = {failure.member for failure in many.failures}
         rows = np.full((len(many), 3), np.nan)
@@ -140,7 +170,12 @@ MEASURES: Mapping[str, tuple[str, str]] = {
     "position": ("position(FRAME)", "position of a frame at the end, in the world"),
     "peak_torque": ("peak_torque", "largest torque on a joint at the report times"),
     "excursion": ("excursion", "largest distance of a joint from its first value"),
+    "impacts": ("impacts", "number of impacts at joint stops"),
+    "first_impact": ("first_impact", "time of the first impact; NaN without impacts"),
+    "energy_lost": ("energy_lost", "energy that impacts at joint stops remove"),
 }
+_OF_JOINTS = ("peak_torque", "excursion")  # measures that are largest values over joints
+_OF_IMPACTS: Mapping[str, str] = {"impacts": "1", "first_impact": "s", "energy_lost": "J"}  # units
 _MEASURE = re.compile(r"(\w+?)(?:\((.+)\))?(?:\.([^()]+))?")
 
 
@@ -165,8 +200,12 @@ def _measure(scene: Scene, name: str, text: str) -> Output | None:
             f"{what}: no frame {quoted(frame)}; {nearest(frame, frames)}the frames are "
             f"{listed(frames, 60)}"
         )
+    if kind in _OF_IMPACTS:
+        joint = _joint_with_stop(scene, label, what)
+        measure = Measure(kind, None, joint=joint)
+        return Output(name, "", None, False, measure, dims=(), unit=_OF_IMPACTS[kind])
     entry, units = None, ["°"] if kind == "turn" else ["m"]
-    if kind in ("peak_torque", "excursion"):
+    if kind in _OF_JOINTS:
         if not system.m:
             raise InputError(f"{what}: {quoted(system.name)} has no joints")
         is_torque = kind == "peak_torque"
@@ -179,6 +218,21 @@ def _measure(scene: Scene, name: str, text: str) -> Output | None:
     unit = " | ".join(dict.fromkeys(units))
     over_time = kind != "position"
     return Output(name, "", None, over_time, Measure(kind, entry, frame), dims=(), unit=unit)
+
+
+def _joint_with_stop(scene: Scene, label: str | None, what: str) -> str:
+    """Return the name of a joint that has a stop, "" for all.  Raises InputError if it has none."""
+    names = list(dict.fromkeys(bound.joint for bound in scene.bounds))
+    if not names:
+        raise InputError(f"{what}: expected a scene with joint stops, got none. Add stops")
+    if label is None:
+        return ""
+    if label not in names:
+        raise InputError(
+            f"{what}: no joint {quoted(label)} has stops; {nearest(label, names)}the joints with "
+            f"stops are {listed(names, 60)}"
+        )
+    return label
 
 
 def parse_outputs(scene: Scene, outputs: Outputs | None) -> tuple[Output, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import astuple
 from hashlib import sha256
 from types import CodeType, FunctionType
 from typing import Any
@@ -93,6 +94,7 @@ def _parts_of_scene(scene: Scene) -> dict[str, Any]:
     ]
     events = [[event.name, event.direction, event.terminal] for event in scene.events_given]
     seen = watched and [watched.text, watched.numbers(scene.parameters).tolist()]
+    stops = {"joint stops": _part([list(map(astuple, scene.bounds))])} if scene.bounds else {}
     return {
         "robot": sha256(model_bytes(scene.system)).hexdigest(),
         "gravity": _part(scene.system.gravity),
@@ -111,6 +113,7 @@ def _parts_of_scene(scene: Scene) -> dict[str, Any]:
         "tables": None if forces is None else forces.tables.digest.hex(),
         "numbers of springs, forces and prescribed joints": _part(plan.numbers),
         "stops": _part(plan.stops),
+        **stops,
     }
 
 

@@ -16,6 +16,7 @@ from ..common.names import listed, nearest, quoted
 from ..common.parameter import Parameter, VectorParameter, value_in
 from ..forces.signals import Constant
 from ..scene.scene import Scene
+from ..scene.stop import is_number_of_stop, number_of_stop, numbers_of_stop, parse_stops
 from ..simulation.members.member_parameters import force_parameters
 from ..system.model_parameters import ModelParameters, kinds_near, size_of
 from ..system.state_fields import entry_names, label_entries
@@ -116,12 +117,15 @@ class VariedScene:
 
     def nominal_values(self) -> Array:
         """Return the values of the numbers in the scene; 0 for a seed."""
-        values, parameters = [], _parameters_of(self.scene)
+        values, parameters, system = [], _parameters_of(self.scene), self.scene.system
         for number in self.numbers:
             if number.member == "seed":
                 values.append(0.0)
             elif number.entry is not None:
                 values.append(float(_nominal(self.scene, number.member)[number.entry]))
+            elif number.member not in parameters and is_number_of_stop(number.member, system):
+                stops = parse_stops(self.scene.stops, system)
+                values.append(number_of_stop(stops, number.member, "vary"))
             elif number.member in parameters:
                 values.append(float(value_in(self.scene.parameters, parameters[number.member])))
             else:
@@ -146,6 +150,9 @@ class VariedScene:
             raise InputError(
                 f"vary: {quoted(key)} is a vector. Vary some of its entries: {listed(names, 60)}"
             )
+        if is_number_of_stop(key, system) and key not in parameters:
+            number_of_stop(parse_stops(scene.stops, system), key, "vary")
+            return VariedNumber(key, key, None, _unit_of_stop(system, key))
         if word in states and end in states[word]:
             entry, unit = states[word][end]
             return VariedNumber(key, word, entry, unit)
@@ -232,6 +239,13 @@ def _unit(system: System, name: str, label: str) -> str:
     if kind == "placement":
         return "rad" if label in _ANGLES else "m"
     return _UNITS.get(kind, "1")
+
+
+def _unit_of_stop(system: System, key: str) -> str:
+    """Return the unit of a number of a stop."""
+    joint, _, field = key.rpartition(".stop.")
+    unit = {each.name: each.kind.units[0] for each in system.tree.joints}[joint]
+    return {"restitution": "1", "rest_rate": f"{unit}/s"}.get(field, unit)
 
 
 def _with_parameter(scene: Scene, key: str) -> tuple[Scene, str] | None:
@@ -333,6 +347,11 @@ def _hint(scene: Scene, key: str) -> str:
     others = [f"springs.{joint}.{end}" for joint in scene.springs for end in ("stiffness", "rest")]
     others += [f"forces[{k}].{name}" for k, f in enumerate(forces) for name in _numbers_of(f)]
     others += [f"controls.{name}" for name in _constant_controls(scene)]
+    others += [
+        f"{joint}.stop.{end}"
+        for joint, stop in parse_stops(scene.stops, system).items()
+        for end in numbers_of_stop(stop)
+    ]
     others += [
         f"prescribed.{joint}"
         for joint, plan in scene.prescribed.items()

@@ -172,7 +172,7 @@ MANY_WRONG: list[tuple[dict[str, Any], str]] = [
     ({"x0": {"bend": [0.1, 0.2], "sway": [0.1, 0.2, 0.3]}}, r"x0 must have a number for each joint, or as many .* got shapes \(2,\), \(3,\)"),
     ({"x0": {"bend": [[0.1]]}}, "x0 must have a number for each joint"),
     ({"x0": {"bent": [0.1, 0.2]}}, "x0: no shape joint 'bent'; did you mean 'bend'"),
-    ({"x0": {"bend": 0.1}}, "at least one of x0, xdot0, xi0, momentum, pose0, q0, v0, gravity or a parameter must"),
+    ({"x0": {"bend": 0.1}}, "at least one of x0, xdot0, xi0, momentum, pose0, q0, v0, gravity, a number of a stop or a parameter must"),
     ({"q0": np.zeros((2, 10))}, "q0: the quaternion of a pose of SE3 must have norm 1, got 0"),
     ({"q0": np.zeros((2, 3))}, r"q0 must have shape \(10,\), got \(3,\)"),
     ({"q0": np.stack([configured({})] * 2), "x0": {"bend": 1.0}}, "q0 sets shape and pose; do not combine it with x0"),

@@ -40,6 +40,7 @@ _AT_ONCE = 512
 _OUTPUTS_AT_ONCE = 2**15  # Number of outputs per block, few enough to fit into the CPU's cache.
 # Number of kernels that a System keeps.  Their machine code occupies two memory maps each.
 MOST_KERNELS = 16
+MOST_MODES = 128  # Number of kernels of modes with joints at rest, besides the others.
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +109,8 @@ class CompiledFlow:
         Returns:
             The flow. Its base has the same constant momentum and centre-of-mass path.
         """
-        kernel = kernel_of(plan, zero_momentum=self.kernel.structure.zero_momentum)
+        zero = self.kernel.structure.zero_momentum
+        kernel = kernel_of(plan, zero_momentum=zero, is_mode=True)
         layout, constants = kernel.layout, _constants(plan, NO_DIFFERENCES, kernel)
         columns = [
             self.parameters[: layout.base.spin], np.zeros(len(layout.constant_pi)),
@@ -301,7 +303,12 @@ def rate_address(kernel: Kernel, method: Method) -> int:
 
 
 def kernel_of(
-    plan: Plan, *, zero_momentum: bool, generic: bool = False, all_momenta: bool = False
+    plan: Plan,
+    *,
+    zero_momentum: bool,
+    generic: bool = False,
+    all_momenta: bool = False,
+    is_mode: bool = False,
 ) -> Kernel:
     """Return the kernel of a plan, built once while it is among the most recent of its System.
 
@@ -310,6 +317,8 @@ def kernel_of(
         zero_momentum: Whether the initial angular momentum of the base is exactly zero.
         generic: Whether the variable parameters of the robot may take any value.
         all_momenta: Whether constant momenta of symmetric balls are integrated, too.
+        is_mode: Whether joints rest at stops.  A motion may have more such modes than MOST_KERNELS,
+            and its members or repetitions share them.
     Returns:
         The kernel; plans of the same structure and force expressions share it.
     Raises:
@@ -317,7 +326,8 @@ def kernel_of(
     """
     if plan.scene.bounds:  # Runs with stops build kernels of their modes, whose scenes have none.
         raise InputError(
-            "stops: only simulate and compare take stops. Omit them here, or call simulate"
+            "stops: only simulate, simulate_many, sweep and compare take stops. Omit them here, or "
+            "call one of these"
         )
     kind = plan.kind(zero_momentum=zero_momentum, generic=generic, all_momenta=all_momenta)
     system, structure, forces = kind.system, kind.structure, kind.forces
@@ -325,9 +335,8 @@ def kernel_of(
     key = once(kind, Kernel, lambda: repr((structure, None if forces is None else forces.key)))
     # Parameters are inputs of a kernel, so robots that differ only in parameters share it.
     owner = nominal(system)
-    kernel = recent(
-        owner, key, lambda: build_kernel(system, structure, forces), MOST_KERNELS, Kernel
-    )
+    kept = (MOST_MODES, (Kernel, "modes")) if is_mode else (MOST_KERNELS, Kernel)
+    kernel = recent(owner, key, lambda: build_kernel(system, structure, forces), *kept)
     if plan.method.multipliers and system.closure is not None:
         return once(kernel, with_multipliers, lambda: with_multipliers(kernel))
     return kernel

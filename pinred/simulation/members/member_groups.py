@@ -44,6 +44,8 @@ class Group:
         plan = self.plan
         if plan.scene.events_given:
             return "events are detected"
+        if plan.scene.bounds:
+            return "joints come to rest at their stops at different times"
         if plan.forces is not None and plan.forces.held:
             controller, _ = plan.forces.held[0]
             return f"{controller.name} is called every {controller.period:g} s"
@@ -72,10 +74,11 @@ def members_plan(scene: Scene) -> Plan:
 
     If the scene does not select a method, DOP853 replaces AdaptiveGauss, and Radau unless DOP853
     costs more even in lanes.  DOP853 integrates one member in each SIMD lane, but AdaptiveGauss
-    uses the lanes for its stages, and Radau does not use them.
+    uses the lanes for its stages, and Radau does not use them.  Members with stops do not run in
+    lanes, so they have the method of `simulate`.
     """
     plan = plan_of(scene)
-    if scene.method != "auto" or scene.tolerance[0] < DOP853_LEAST:
+    if scene.method != "auto" or scene.tolerance[0] < DOP853_LEAST or scene.bounds:
         return plan
     in_lanes = isinstance(plan.method, AdaptiveGauss)
     if isinstance(plan.method, Radau):
@@ -134,7 +137,9 @@ def _structure(plan: Plan) -> Hashable:
     stop_key: Hashable = (stops.tobytes(), robot)
     if forces is not None and forces.held:
         stop_key = id(plan)  # Controllers have states, so each member has its own.
-    return (None if forces is None else forces.key, plan.method, stop_key, states.mu is None)
+    # Members with events or joint stops are simulated one by one.
+    alone = bool(plan.scene.events_given), bool(plan.scene.bounds)
+    return None if forces is None else forces.key, plan.method, stop_key, states.mu is None, alone
 
 
 def _group(members: Indices, plans: Sequence[Plan]) -> Group:

@@ -26,6 +26,14 @@ from ...reduction.potential import acting_gravity, falling
 from ...scene import input_formats
 from ...scene.initial_state import GivenStates, order_by_joint, random_state, refuse_vague
 from ...scene.scene import Scene
+from ...scene.stop import (
+    Stop,
+    bounds_of,
+    changed_stops,
+    is_number_of_stop,
+    parse_stops,
+    starts_beyond,
+)
 from ...system.coordinates import Indices
 from ...system.model_parameters import GRAVITY, requested, size_of
 from ...system.system import System, in_gravity, nominal
@@ -42,7 +50,7 @@ STATES = ("x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0")
 _OF_Q = (("pose0", "pose"), ("x0", "x"))
 _OF_V = (("xi0", "xi"), ("xdot0", "xdot"))
 _OF_SEED = ("x", "xdot", "xi")
-_OPTIONS = f"{', '.join(STATES)}, gravity or a parameter"
+_OPTIONS = f"{', '.join(STATES)}, gravity, a number of a stop or a parameter"
 
 
 class MemberOptions:
@@ -57,6 +65,7 @@ class MemberOptions:
         by_name: {option: {joint: (N, …)}} of x0 and xdot0 if they name joints of loops.
         parameters: Values of parameters by name, (N,) or (N, k).
         gravity: Gravity in the world frame, (N, 3) [m/s²], or None.
+        stops: Numbers of joint stops by name, (N,).
         robot: Number of entries of each robot parameter that the call states, by name.
         count: Number of members.
         prepared: Result of `template` of other members with the same options; None to compute it.
@@ -115,6 +124,11 @@ class MemberOptions:
             if self.common.get(name) is not None and dimensions(self.common[name]) == 2
         }
         self.gravity = self._member_gravity(values, scene_values)
+        self.stops = {
+            name: _stop_rows(values.pop(name), name)
+            for name in [*values]
+            if is_number_of_stop(name, system)
+        }
         sizes = {name: size_of(system, name) for name in values}
         self.robot = {name: size for name, size in sizes.items() if size is not None}
         self.parameters = varying_parameters(values, self.robot, base, members or {})
@@ -140,6 +154,7 @@ class MemberOptions:
 
     def _count(self) -> int:
         sizes = {n: len(v) for n, v in (self.states | self.parameters).items()}
+        sizes |= {name: len(rows) for name, rows in self.stops.items()}
         if self.gravity is not None:
             sizes["gravity"] = len(self.gravity)
         if self.seeds is not None:
@@ -176,15 +191,38 @@ class MemberOptions:
             options["parameters"] = {**self.common["parameters"], **values_of_member}
         if self.seeds is not None:
             options["seed"] = self.seeds[member]
+        if self.stops:
+            options["stops"] = self._stops_of(member)
         base = self.base
         if self.gravity is not None:
             system = in_gravity(self.system, self.gravity[member])
             base = replace(base, system=system) if isinstance(base, Scene) else system
         return as_scene(base, options, "simulate_many")
 
+    def _stops_of(self, member: int) -> dict[str, Stop]:
+        """Return the stops of a member if their numbers vary.  Raises InputError."""
+        stops = getattr(self.base, "stops", None)
+        shared = parse_stops(self.common.get("stops", stops), self.system)
+        return changed_stops(shared, {name: rows[member] for name, rows in self.stops.items()})
+
+    def _refuse_starts_beyond_stops(self, scene: Scene, x: Array) -> None:
+        """Raise RejectedValuesError if stops of members are not valid, or exclude their start."""
+        reasons = {} if self.stops else starts_beyond(scene.bounds, x)
+        for k in range(self.count if self.stops else 0):
+            try:
+                bounds = bounds_of(self.system, self._stops_of(k))
+            except InputError as error:
+                reasons[k] = str(error)
+                continue
+            for reason in starts_beyond(bounds, x[k : k + 1]).values():
+                reasons[k] = reason
+        if reasons:
+            raise RejectedValuesError(reasons)
+
     def _scene_by(self, method: Method | str, member: int) -> Scene:
         """Return the scene of one member, with the integrator that members use."""
-        return replace(self.scene(member), method=method)
+        scene = self.scene(member)
+        return scene if scene.method == method else replace(scene, method=method)
 
     def select(self, members: Indices) -> MemberOptions:
         """Return the options of the selected members, (K,) sorted indices."""
@@ -194,6 +232,7 @@ class MemberOptions:
         selected.states = {name: rows[members] for name, rows in self.states.items()}
         selected.by_name = {n: _row(values, members) for n, values in self.by_name.items()}
         selected.parameters = {name: rows[members] for name, rows in self.parameters.items()}
+        selected.stops = {name: rows[members] for name, rows in self.stops.items()}
         selected.gravity = None if self.gravity is None else self.gravity[members]
         selected.seeds = None if self.seeds is None else [self.seeds[k] for k in members.tolist()]
         selected.count = len(members)
@@ -242,7 +281,7 @@ class MemberOptions:
         """Return a scene with the options that all members share, and validate these options."""
         if self.prepared is not None:
             return self.prepared
-        if self.parameters or self.gravity is not None:
+        if self.parameters or self.stops or self.gravity is not None:
             return self.scene(0)
         return template  # It is the scene of the first member.
 
@@ -332,6 +371,7 @@ class MemberOptions:
         if system.loops:
             x, xdot = close_members(self._scene, self.count)
         x, xdot = with_prescribed_joints(scene, x, xdot, numbers)
+        self._refuse_starts_beyond_stops(scene, x)
         xi, momentum = (
             rows("xi0", system.r, common_states.xi),
             rows("momentum", system.r, common_states.mu),
@@ -371,6 +411,16 @@ def _named_rows(
             for joint, column in columns.items()
         }
     return named
+
+
+def _stop_rows(value: Any, name: str) -> Array:
+    """Return the values (N,) of a number of a stop.  Raises ShapeError."""
+    if (shape := as_floats(value, name).shape)[1:] or not shape:
+        raise ShapeError(
+            f"members['{name}'] must have shape (N,), got {shape}. State numbers that all members "
+            "share in stops"
+        )
+    return rows_of(value, name)
 
 
 def _row(values: Mapping[str, Array], member: int | Indices) -> dict[str, Array]:

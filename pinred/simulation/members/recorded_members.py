@@ -14,7 +14,9 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import IntegrationError, LoadError
 from ...common.names import quoted_path
+from ...lie.groups import GROUPS
 from ...system.state_fields import ShapeState, State, map_arrays
+from ..impacts import MemberImpacts, member_table_in
 from ..over_time import OverTime
 from ..recording import MOST_BYTES, ORIGIN, Recording, load_recorded_robot, read_arrays
 from ..trajectory_files import read_zarr
@@ -36,6 +38,7 @@ class RecordedMembers(OverTime):
         joints: Labels of the m shape rates.
         content: States with members on the first axis; NaN at times that a member did not reach.
         failures: Members that did not reach their end time.
+        impacts: The impacts at joint stops, with a column of members.
         origin: Arrays of the file that state how the robot was loaded.
     """
 
@@ -45,6 +48,7 @@ class RecordedMembers(OverTime):
     joints: tuple[str, ...]
     content: State | ShapeState
     failures: Sequence[Failure]
+    impacts: MemberImpacts
     origin: Mapping[str, Any]
 
     def __len__(self) -> int:
@@ -72,7 +76,8 @@ class RecordedMembers(OverTime):
         content = replace(self.content, t=np.broadcast_to(self.t, self.content.energy.shape))
         states = map_arrays(lambda values: values[member], content)
         names = (self.path, self.robot, self.group, self.joints)
-        return Recording(*names, states, self.origin, confirmed=True)
+        impacts = self.impacts.of_member(member)
+        return Recording(*names, states, self.origin, confirmed=True, impacts=impacts)
 
     @property
     def outputs(self) -> State | ShapeState:
@@ -123,6 +128,10 @@ def read_members(path: str | Path) -> RecordedMembers:
             raise LoadError(
                 f"{name}: '{field}' has shape {values.shape}, not ({count}, {times}, …)"
             )
+    try:
+        impacts = member_table_in(content, GROUPS[str(content["group"])].dim, count)
+    except (KeyError, ValueError) as error:
+        raise LoadError(f"{name}: {error}") from None
     failures = [
         Failure(k, float(content["reached"][k]), str(reason))
         for k, reason in enumerate(content["failure"].tolist())
@@ -131,7 +140,8 @@ def read_members(path: str | Path) -> RecordedMembers:
     origin = {key: content[key] for key in ORIGIN if key in content and key not in _OF_MEMBERS}
     return RecordedMembers(
         path, str(content["robot"]), str(content["group"]),
-        tuple(map(str, np.atleast_1d(content["joints"]))), kind(**states), failures, origin,
+        tuple(map(str, np.atleast_1d(content["joints"]))), kind(**states), failures, impacts,
+        origin,
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from ...scene.scene import Scene
 from ...system.coordinates import Indices
 from ...system.state_fields import FIELDS, ShapeState, State, arrays_of, axis_lengths, map_arrays
 from ...system.system import System, nominal
+from ..impacts import MemberImpacts, impact_arrays
 from ..over_time import OverTime
 from ..simulate import trajectory_of
 from ..trajectory import Cost, Trajectory
@@ -90,6 +91,7 @@ class Trajectories(OverTime):
         single: Mapping[int, Trajectory],
         failures: Sequence[Failure],
         outputs: State | ShapeState | None = None,
+        impacts: MemberImpacts | None = None,
     ) -> None:
         """Collect the results of all members.
 
@@ -99,18 +101,22 @@ class Trajectories(OverTime):
             single: Trajectories of the members that were integrated one by one.
             failures: Members that did not reach their end time.
             outputs: States of all members, if already computed.
+            impacts: Impacts of all members, if already collected.
         """
         self._count, self._scene_of = members
         self._batches, self._single, self.failures = tuple(batches), single, tuple(failures)
         self._failed = {failure.member: failure for failure in failures}
         if outputs is not None:  # the constructor of a state makes unpickled arrays read-only
             vars(self)["outputs"] = type(outputs)(**arrays_of(outputs))
+        if impacts is not None:
+            vars(self)["impacts"] = impacts
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Kernels cannot be pickled, so pickle the states instead of the flows.
         batches = [replace(batch, flow=None) for batch in self._batches]
         members, single = (self._count, self._scene_of), dict(self._single)
-        return Trajectories, (members, batches, single, self.failures, self.outputs)
+        states = self.outputs, self.impacts
+        return Trajectories, (members, batches, single, self.failures, *states)
 
     def __len__(self) -> int:
         return self._count
@@ -168,6 +174,13 @@ class Trajectories(OverTime):
         for members, y in batches:
             combined[members, :, : y.shape[2]] = y
         return combined
+
+    @cached_property
+    def impacts(self) -> MemberImpacts:
+        """Impacts of all members at joint stops, with a column of members."""
+        alone = self._single.items()
+        tables = {member: traj.impacts for member, traj in alone if traj.scene.bounds}
+        return MemberImpacts.of(tables, len(self), self.system.r)
 
     @cached_property
     def outputs(self) -> State | ShapeState:
@@ -245,9 +258,10 @@ class Trajectories(OverTime):
 
         The file contains `t`, (T,), one array (N, T, …) for each other field of State, and the
         robot as `Trajectory.save` writes it.  For each member there are `failure`, (N,), the reason
-        for its failure or "", and `reached`, (N,), the last time [s].  `gravity` is (N, 3), and
-        `parameter_values`, (N, …), include the parameters of forces.  Both are NaN for members
-        whose values were rejected.
+        for its failure or "", and `reached`, (N,), the last time [s].  `impact_member`, `impact_t`
+        and so on are the columns of the impacts at joint stops, if there are any.  `gravity` is
+        (N, 3), and `parameter_values`, (N, …), include the parameters of forces.  Both are NaN for
+        members whose values were rejected.
 
         A .zarr folder names its dimensions, and replaces an existing one.  `read_members` and
         `xarray.open_zarr(path, consolidated=False)` read it.
@@ -265,6 +279,7 @@ class Trajectories(OverTime):
         arrays = {
             **robot_arrays(nominal(self.system)),
             **arrays_of(self.outputs),
+            **impact_arrays(self.impacts),
             "failure": np.array(reasons, dtype=str),
             "reached": reached,
             **_scene_arrays([self._scene_of(member) for member in range(len(self))]),
@@ -308,14 +323,14 @@ def _up_to(traj: Trajectory, t: Array, system: System, *, wanted: bool) -> State
     if not reached.any():
         return _missing_states(system, t, wanted=wanted)
 
+    rows = np.searchsorted(traj.outputs.t, t[reached])
+
     def fill(missing: Array, values: Array) -> Array:
         filled = missing.copy()
-        filled[reached] = values
+        filled[reached] = values[rows]
         return filled
 
-    return replace(
-        map_arrays(fill, _missing_states(system, t, wanted=wanted), traj.at(t[reached])), t=t
-    )
+    return replace(map_arrays(fill, _missing_states(system, t, wanted=wanted), traj.outputs), t=t)
 
 
 def _missing_states(system: System, t: Array, *, wanted: bool) -> State | ShapeState:
