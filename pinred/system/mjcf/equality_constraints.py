@@ -199,7 +199,7 @@ def _laws(tree: Tree, constraint: Constraint) -> Sequence[Coupling | JointPolyno
     leader = joint_of(world, second)
     if second not in free:
         raise ModelError(
-            f"'{leader.name}' is the leader of joint '{follower.name}' by equality "
+            f"joint '{leader.name}' is the leader of joint '{follower.name}' by equality joint "
             f"'{constraint.name}', but it is locked; lock the follower as well "
             f"(lock=['{follower.name}']), or remove the constraint"
         )
