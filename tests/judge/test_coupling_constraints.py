@@ -17,8 +17,10 @@ from trees import random_model
 import pinred
 from pinred.judge import coupling_constraints as module
 from pinred.judge.coupling_constraints import CouplingConstraints
+from pinred.judge.loop_errors import loop_errors
 from pinred.judge.reference_solution import FullState
 from pinred.system.loops.kinematics import LoopKinematics
+from pinred.system.state_fields import State
 
 X = np.array([0.4, 0.0, 0.0])
 
@@ -311,3 +313,16 @@ def test_compare_fails_if_an_independent_equation_of_a_loop_is_missing() -> None
     assert not report.passed
     assert report.loop_gap is not None
     assert report.loop_gap > 1e-3
+
+
+def test_rate_of_the_gap_leaves_out_what_a_file_rounds() -> None:
+    """A tilt of 5e-9 rad moves the gap out of the plane, which no joint can change."""
+    bars, loops = four_bar()
+    bars.jointPlacements[3] = bars.jointPlacements[3] * pin.SE3(pin.rpy.rpyToMatrix(5e-9, 0, 0), X)
+    system = pinred.load(bars, loops=loops)
+    motion = pinred.simulate(system, xdot0={"crank": 1.0}, momentum=0, duration=0.5)
+    states = motion.motion.states(motion.t)
+    assert isinstance(states, State)
+    errors = loop_errors(system, states)
+    assert errors.rate is not None
+    assert errors.rate < 1e-13
