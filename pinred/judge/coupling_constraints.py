@@ -5,11 +5,11 @@ all joints move. Multipliers keep each follower coupled to its leaders, a_f − 
 
     a = a₀ − M⁻¹Jᵀ (J M⁻¹Jᵀ)⁻¹ J a₀,   a₀ and M⁻¹Jᵀ computed with Pinocchio's ABA.
 
-Closed loops are further constraints, J(q) a + J̇ v = 0. Their rows may be redundant, so least
-squares give the multipliers. One linear system for accelerations and multipliers is solved instead
-if the mass matrix of the uncoupled tree is singular, or if accelerations are prescribed as well.
-Without couplings and loops ABA is used alone, or the rows of Pinocchio's mass matrix without those
-of the joints with prescribed accelerations.
+Closed loops are further constraints, J(q) a + J̇ v = 0. Of redundant rows, those are used that the
+system states as independent; `loop_errors` measures all of them. One linear system for
+accelerations and multipliers is solved instead if the mass matrix of the uncoupled tree is
+singular, or if accelerations are prescribed as well. Without couplings and loops ABA is used alone,
+or the rows of Pinocchio's mass matrix without those of the joints with prescribed accelerations.
 Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8.
 """
 
@@ -97,6 +97,7 @@ class CouplingConstraints:
         self._borders: dict[tuple[int, ...], Array] = {}
         self._uses_aba = not self._couplings or singular_shapes(model) == SingularShapes()
         self._loops = LoopKinematics(model, system.loops) if system.loops else None
+        self._independent = None if system.closure is None else system.closure.rows
         self._is_constrained = bool(self._couplings or system.loops)
         self._all_lead = np.array_equal(self.leads, np.arange(len(at)))
         self._all_lead_x = np.array_equal(self.leads_x, np.arange(len(at_x)))
@@ -168,8 +169,8 @@ class CouplingConstraints:
             return free
         J, bias = self.J, np.zeros(len(self.J))
         if self._loops is not None:
-            J = np.vstack([J, self._loops.jacobian(q)])
-            bias = np.append(bias, self._loops.bias(q, v))
+            J = np.vstack([J, self._loops.jacobian(q)[self._independent]])
+            bias = np.append(bias, self._loops.bias(q, v)[self._independent])
         zero = np.zeros(len(v))
         responses = np.array([pin.aba(self._weightless, data, q, zero, row, axes) for row in J])
         if self._loops is None:
@@ -241,7 +242,9 @@ class CouplingConstraints:
         driven: tuple[int, ...],
         prescribed: Array | Sequence[float],
     ) -> Array:
-        """Return the acceleration (nv,) of `acceleration` with loops, whose rows may be redundant.
+        """Return the acceleration (nv,) of `acceleration` with loops.
+
+        Rows may be redundant at shapes where loops determine prescribed joints.
 
         With all constraints C a = c and the null space N of C, a = C⁺c + N z and
         NᵀM N z = Nᵀ(τ − b − M C⁺c).
@@ -249,10 +252,10 @@ class CouplingConstraints:
         assert self._loops is not None
         n, at = len(v), len(self.J)
         border = self._border(driven)
-        C = np.vstack([border[n:, :n], self._loops.jacobian(q)])
+        C = np.vstack([border[n:, :n], self._loops.jacobian(q)[self._independent]])
         c = np.zeros(len(C))
         c[at : at + len(driven)] = prescribed
-        c[at + len(driven) :] = -self._loops.bias(q, v)
+        c[at + len(driven) :] = -self._loops.bias(q, v)[self._independent]
         U, sizes, Vt = np.linalg.svd(C)
         rank = int((sizes > RANK * sizes[0]).sum())
         a = Vt[:rank].T @ ((U.T @ c)[:rank] / sizes[:rank])

@@ -28,8 +28,8 @@ class LoopErrors:
         gap: Largest |φ|, in units of the size of the loops or 1 rad; None without loops.  Files
             round numbers, so redundant equations may differ by rounding from others; the part of φ
             that no joint can change is left out.
-        rate: Largest |φ̇|, relative to its largest value if all joints moved at the fastest rate;
-            None without loops.
+        rate: Largest |φ̇|, without the same part, relative to its largest value if all joints moved
+            at the fastest rate; None without loops.
     """
 
     gap: float | None = None
@@ -46,10 +46,9 @@ def loop_errors(system: System, states: State) -> LoopErrors:
     gap, rates, terms = 0.0, np.zeros(len(unit)), np.zeros(len(unit))
     for q, v in zip(system.sort_q(states.q), system.sort_v(states.v), strict=True):
         J = kinematics.jacobian(q)
-        gap = max(
-            gap, float(np.abs(_reachable(J[:, system.r :], kinematics.values(q)) / unit).max())
-        )
-        rates = np.maximum(rates, np.abs(J @ v) / unit)
+        both = _reachable(J[:, system.r :], np.column_stack([kinematics.values(q), J @ v]))
+        gaps, gap_rates = np.abs(both).T / unit
+        gap, rates = max(gap, float(gaps.max())), np.maximum(rates, gap_rates)
         # The joints of a loop may rest exactly, so the unit is the fastest rate of any joint.
         fastest = float(np.abs(v[system.r :]).max(initial=0.0))
         terms = np.maximum(terms, np.abs(J).sum(axis=1) * fastest / unit)
@@ -58,7 +57,7 @@ def loop_errors(system: System, states: State) -> LoopErrors:
 
 
 def _reachable(J: Array, values: Array) -> Array:
-    """Return the part of values of φ, (c,), that joints can change."""
+    """Return the parts of values of φ or φ̇, (c, k), that joints can change."""
     U, sizes, _ = np.linalg.svd(J, full_matrices=False)
     U = U[:, sizes > RANK * sizes[0]]
     return np.asarray(U @ (U.T @ values))

@@ -14,7 +14,7 @@ from ..common.object_cache import ObjectCache, cache_key
 from ..forces.force_model import ForceModel
 from ..reduction.tree.free_bodies import NOTHING, Freed
 from ..reduction.tree.identical_branches import Lanes
-from ..reduction.tree.loop_constraints import GAUGE_RATE
+from ..reduction.tree.loop_constraints import GAUGE_RATE, needs_second_solution
 from ..system.loops.kinematics import loop_ends
 from ..system.loops.loop import Loop
 from ..system.system import System, nominal
@@ -56,6 +56,7 @@ def model_bytes(system: System, freed: Freed = NOTHING) -> bytes:
             digest.update(numbers.tobytes())
     if system.closure is not None:
         digest.update(system.closure.rows.tobytes() + str(GAUGE_RATE).encode())
+        digest.update(f"{needs_second_solution(system)}".encode())
         for loop in system.loops:
             if not isinstance(loop, Loop):
                 digest.update(repr(loop).encode())

@@ -100,9 +100,11 @@ def with_closed_loops(
     free = np.setdiff1d(np.arange(len(v)), r + np.array(prescribed, dtype=int))
     response = np.linalg.solve(H[np.ix_(free, free)], J[:, free].T)
     # Multipliers of this size have impulses of the size of the momenta, in every unit.
-    nu: Array = np.asarray(np.linalg.solve(J[:, free] @ response, J @ v))
+    mobility = J[:, free] @ response
+    nu: Array = np.asarray(np.linalg.solve(mobility, J @ v))
     v = v.copy()
     v[free] -= response @ nu
+    v[free] -= response @ np.linalg.solve(mobility, J @ v)  # Round-off moves light links.
     nu = nu * rng.uniform(0.5, 2.0, len(nu))
     return v, (H @ v + J.T @ nu)[r:], nu
 

@@ -151,10 +151,9 @@ def resolved(
     while direct:
         ready = [name for name, c in direct.items() if direct.keys().isdisjoint(c.ratios)]
         if not ready:
-            circle = _circle(direct)
+            circle = " follows ".join(f"joint {quoted(name)}" for name in _circle(direct))
             raise ModelError(
-                f"joints follow each other in a cycle: {listed(circle, len(circle))}; "
-                "remove one of the couplings"
+                f"{circle} in a cycle; remove one of these couplings, or lock these joints"
             )
         for name in ready:
             independent[name] = _with_independent(direct.pop(name), independent)
@@ -185,7 +184,7 @@ def _check(coupling: Coupling, joints: Sequence[str], root: str) -> None:
     if not np.isfinite([*coupling.ratios.values(), coupling.offset]).all():
         raise ModelError(
             f"joint {follower} follows {leaders} with ratios {[*coupling.ratios.values()]} and "
-            f"offset {coupling.offset}, which must be finite"
+            f"offset {coupling.offset}; state finite numbers"
         )
 
 

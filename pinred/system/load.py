@@ -117,6 +117,7 @@ class _Robot:
         left_out: Words and actions of the file that are left out.
         links: Inertia of each link with mass, in its own frame.
         lines: Lines of the joints that close loops, by name.
+        fixed: Names of the links with mass that the file fixes to the world.
     """
 
     raw: pin.Model
@@ -131,6 +132,7 @@ class _Robot:
     left_out: tuple[LeftOut, ...] = ()
     links: Mapping[str, pin.Inertia] = field(default_factory=dict)
     lines: Mapping[str, str] = field(default_factory=dict)
+    fixed: tuple[str, ...] = ()
 
 
 def _of_urdf(
@@ -143,7 +145,7 @@ def _of_urdf(
     """Return the robot in a URDF file; the other arguments are those of _Robot."""
     return _Robot(
         urdf.model, urdf.couplings, name, origin, group, initial, urdf.warning, urdf.springs,
-        urdf.loops, urdf.left_out, urdf.links, urdf.lines,
+        urdf.loops, urdf.left_out, urdf.links, urdf.lines, urdf.fixed,
     )  # fmt: skip
 
 
@@ -409,6 +411,7 @@ def _read(
             left_out=sdf.left_out,
             links=sdf.inertias,
             lines=sdf.lines,
+            fixed=sdf.fixed,
         )
     if is_path(name):
         origin = replace(origin, source=str(Path(source).absolute()))
@@ -467,6 +470,7 @@ def _load_model(
         visuals=visuals,
         warnings=(*([robot.warning] if robot.warning else []), *merge.warnings(split.model)),
         couplings=couplings,
+        freed="" if _root_group(bare, chain) else "".join(robot.fixed[:1]),
         locked=locked_joints,
         merged=merge.triples,
         loops=parse_loops((*_moving_loops(robot, model, loops.loops), *loops.loops)),
@@ -513,8 +517,9 @@ def _moving_loops(
             raise ModelError(
                 f"joint {quoted(loop.name)}{robot.lines.get(loop.name, '')} of "
                 f"{quoted(robot.name)} closes a loop through the world, so the base cannot move "
-                "freely, which breaks the symmetry; remove it, lock the joints of the loop, or "
-                f"{HEAVY_GROUND}"
+                "freely, which breaks the symmetry; remove it, lock the joints of the loop, fix a "
+                "link with mass to the world, which carries the others and is then the root link, "
+                f"or {HEAVY_GROUND}"
             )
         yield loop
 
@@ -548,7 +553,7 @@ def _on_root(raw: pin.Model, group: Group | None, chain: RootChain | None) -> pi
         ChoiceError: It is unclear whether the root link is fixed or floats.
         ModelError: The current root moves in another group.
     """
-    root_group = _root_group(raw) if chain is None else chain.group
+    root_group = _root_group(raw, chain)
     if root_group is None:
         if group is None and raw.njoints > 1 and raw.inertias[0].mass == 0.0:
             raise ChoiceError(_unclear_root(raw), "group", ("SE3",))
@@ -578,8 +583,10 @@ def _unclear_root(raw: pin.Model) -> str:
     )
 
 
-def _root_group(raw: pin.Model) -> Group | None:
-    """Return the group of the root joint in a model, or None if it needs a new root."""
+def _root_group(raw: pin.Model, chain: RootChain | None) -> Group | None:
+    """Return the group of the root joints in a model, or None if it needs a new root."""
+    if chain is not None:
+        return chain.group
     if raw.njoints < 2:
         return None
     group = motion_group(raw.joints[1])

@@ -28,6 +28,7 @@ from .robot_file_contents import Coupling, LeftOut
 from .robot_files import library_output, read_xml
 from .urdf_elements import (
     UNLIMITED,
+    WORLD,
     check_urdf,
     file_frames,
     file_springs,
@@ -69,6 +70,7 @@ class UrdfRobot:
         special: Joints that Pinocchio's parser does not read, by name.
         links: Inertia of each link with mass, in its own frame.
         lines: Lines of the joints that close loops, such as " (line 7)", by name.
+        fixed: Names of the links with mass that the file fixes to a link `world` without mass.
     """
 
     model: pin.Model
@@ -80,6 +82,7 @@ class UrdfRobot:
     special: Mapping[str, NewJoint] = field(default_factory=dict)
     links: Mapping[str, pin.Inertia] = field(default_factory=dict)
     lines: Mapping[str, str] = field(default_factory=dict)
+    fixed: tuple[str, ...] = ()
 
 
 def read_urdf(path: Path) -> UrdfRobot:
@@ -122,7 +125,10 @@ def read_urdf(path: Path) -> UrdfRobot:
     loops = add_loops(model, closing)
     left_out = (*left_out, *beyond, *more, *rotors)
     lines = {joint.name: joint.line for joint in closing}
-    return UrdfRobot(model, couplings, springs, loops, left_out, warning, special, inertias, lines)
+    return UrdfRobot(
+        model, couplings, springs, loops, left_out, warning, special, inertias, lines,
+        _fixed_links(model, inertias),
+    )  # fmt: skip
 
 
 def _parsed(path: Path, root: ElementTree.Element) -> pin.Model:
@@ -157,6 +163,18 @@ def with_other_joints(model: pin.Model, special: Mapping[str, NewJoint]) -> pin.
     rebuilt = rebuild(model, replaced=replaced)
     copy_losses(model, rebuilt, dict.fromkeys(replaced, ()))
     return rebuilt
+
+
+def _fixed_links(model: pin.Model, inertias: Mapping[str, pin.Inertia]) -> tuple[str, ...]:
+    """Return the links with mass that a file fixes to a link `world` without mass."""
+    names = [
+        str(frame.name)
+        for frame in model.frames
+        if frame.parentJoint == 0 and frame.type == pin.FrameType.BODY
+    ]
+    if names[:1] != [WORLD] or WORLD in inertias:
+        return ()
+    return tuple(name for name in names if name in inertias)
 
 
 def _add_rotors(root: ElementTree.Element, model: pin.Model) -> tuple[LeftOut, ...]:

@@ -263,7 +263,11 @@ _TAGS = {  # tags of elements by the words for them in messages
     "body": ("body",),
     "tendon": ("fixed", "spatial"),
 }
-_MENTION = re.compile(rf"\b({'|'.join(_TAGS)}) ('[^']*')")
+# Constraints of an MJCF file, named by their kinds; a joint of this kind is no joint of a body.
+_EQUALITY = "equality (?:connect|weld|joint|tendon)"
+_MENTION = re.compile(rf"\b({_EQUALITY}|{'|'.join(_TAGS)}) ('[^']*')")
+# Elements of MJCF that add constraints, so that their numbers are not those of the file.
+_COPIES = ("include", "replicate", "attach", "composite", "flexcomp")
 _LINE = re.compile(r"\bline \d")
 
 
@@ -420,7 +424,7 @@ def read_xml(path: Path) -> FileElement:
 
 @contextmanager
 def lines_in_messages(path: Path | None) -> Iterator[None]:
-    """Add the lines of links, joints and bodies to the messages of errors in the block.
+    """Add the lines of links, joints, bodies and equalities to messages of errors in the block.
 
     A message that states a line already stays as it is, and so do names that several elements have.
 
@@ -446,17 +450,30 @@ def _add_lines(error: LoadError | ModelError, path: Path) -> None:
     if not _MENTION.search(message) or _LINE.search(message):
         return
     try:
-        elements = list(read_xml(path).iter())
+        root = read_xml(path)
     except LoadError:
         return
+    elements = list(root.iter())
+    equalities = [constraint for part in root.iterfind("equality") for constraint in part]
+    others = [element for element in elements if element not in equalities]
+    is_whole = not any(element.tag in _COPIES for element in elements)
 
     def with_line(match: re.Match[str]) -> str:
-        tags = _TAGS[match[1]]
+        named, kind = others, match[1].removeprefix("equality ")
+        tags = _TAGS.get(kind, (kind,))
+        if kind != match[1]:
+            named, tags = equalities, (kind,)
         lines = {
             line_of(element)
-            for element in elements
+            for element in named
             if element.tag in tags and quoted(element.get("name", "")) == match[2]
         }
+        if kind != match[1] and is_whole and not lines:  # Constraints without a name have numbers.
+            lines = {
+                line_of(element)
+                for number, element in enumerate(equalities)
+                if match[2] == quoted(f"equality {number}")
+            }
         return f"{match[0]} (line {lines.pop()})" if len(lines) == 1 else match[0]
 
     error.args = (_MENTION.sub(with_line, message), *error.args[1:])

@@ -43,14 +43,16 @@ JOINT_TYPES = "revolute, continuous, prismatic, universal, screw, ball, planar o
 _TRUE = ("true", "1")
 _NAMED = ("link", "joint", "frame", "model", "drake:joint")  # elements that messages name
 _REMEDIES = (  # remedies by words of Drake's messages
-    ("not found in|does not match", "name a link, joint, frame or model that exists"),
+    ("not found in|not match|unable to find", "name a link, joint, frame or model that exists"),
     ("Non-unique name", "rename one of them"),
+    ("is reserved", "rename it"),
     ("must specify different|resolve to different|to itself", "connect two links"),
     ("cycle detected", "attach one of the frames to a link"),
     ("Error reading element", "write the numbers that SDF defines for it"),
     ("already has joint", "remove one of the joints"),
     ("Only fixed joints", "make it fixed, or put it into a model that moves"),
     ("MakeConvexHull", "state the inertia, or convert the mesh to .obj"),
+    ("", "correct this element, or remove it"),
 )
 
 
@@ -202,28 +204,26 @@ class SdfDocument:
     def drake_error(self, message: str, folder: Path) -> str:
         """Return an error message of Drake with the file, the line and a remedy."""
         message = self.with_own_paths(message, folder).splitlines()[0]
-        match = re.match(r"(?P<file>.*?):(?P<line>\d+): error: (?P<why>.*)", message)
-        why = message.partition("error: ")[2] or message
-        where = ""
-        if match is not None and match["line"] != "0":
-            where, why = f"{match['file']}, line {match['line']}", match["why"]
+        match = re.match(r"(.*?):([1-9]\d*): error: (.*)", message)
+        unplaced = "", "", message.partition("error: ")[2] or message
+        file, line, why = match.groups() if match else unplaced
         why = re.sub(r"^At XML path \S+: ", "", why).removesuffix(".")
-        remedy = next((way for words, way in _REMEDIES if re.search(words, why)), "")
-        where = where or self._line_of_name(why) or plain_path(self.paths[0])
-        return f"Drake cannot read {where}: {why}{f'; {remedy}' if remedy else ''}"
+        remedy = next(way for words, way in _REMEDIES if re.search(words, why))
+        where = f"{file}, line {line}" if line else self._line_of_name(why)
+        return f"Drake cannot read {where}: {why}; {remedy}"
 
     def _line_of_name(self, message: str) -> str:
-        """Return the file and the line of an element that a message names; "" without one."""
-        for name in re.findall(r"name\[([^\]]+)\]|joint '([^']+)'", message):
-            places = [
-                f"{plain_path(path)}, line {line_of(element)}"
-                for path in dict.fromkeys(self.paths)
-                for element in read_xml(path).iter()
-                if element.get("name") in filter(None, name) and element.tag in _NAMED
-            ]
-            if len(places) == 1 or (places and message.startswith("Non-unique")):
-                return places[-1]
-        return ""
+        """Return the place of an element that a message names, or of the one that refers to it."""
+        names = [a or b for a, b in re.findall(r"\[([^\]]+)\]|'([^']+)'", message)]
+        elements = [(p, e) for p in dict.fromkeys(self.paths) for e in read_xml(p).iter()]
+        for name in names:
+            own = name.rpartition("::")[2]  # Drake scopes names, as "model::link".
+            using = [(path, e) for path, e in elements if own in e.attrib.values()]
+            named = [(path, e) for path, e in using if e.tag in _NAMED and e.get("name") == own]
+            places = named or using
+            if len(places) == 1 or (named and message.startswith("Non-unique")):
+                return f"{plain_path(places[-1][0])}, line {line_of(places[-1][1])}"
+        return plain_path(self.paths[0])
 
 
 _HERE = "\0folder\0"  # stands for the folder of the copies
@@ -677,7 +677,7 @@ class _Reader:
         for body, point in (("body_A", "p_AP"), ("body_B", "p_BQ")):
             link, position = (element.find(f"{element.tag}_{part}") for part in (body, point))
             if link is None or position is None:
-                place.fail(element, f"<{element.tag}> needs <{element.tag}_{body}> and _{point}")
+                place.fail(element, f"add <{element.tag}_{body}> and _{point} to <{element.tag}>")
             links.append((link.text or "").strip())
             points.append(self._numbers(position, place, 3))
         self.document.constraints.append(

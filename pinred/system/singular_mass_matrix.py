@@ -36,6 +36,13 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..lie.groups import SE3
 from ..lie.rotations import left_jacobian, quaternion_exp
+<<<<<<<
+=======
+from .joints import axes_of, is_prismatic
+from .massless_motions import largest_step
+
+# Number of random shapes.  A motion that moves no mass at these shapes moves none at any shape.
+>>>>>>>
 from .coordinates import tree_space
 from .coupling import Coupled
 from .joints import axes_of, is_prismatic, joint_configuration, largest_step
@@ -481,22 +488,30 @@ class ScaledInertia:
         self._entry_names = [str(model.names[first])] * self._lead + self._names
         self._slides = np.repeat([is_prismatic(model.joints[k]) for k in others], widths) > 0
         self._hinges = ~self._slides & (np.repeat(widths, widths) == 1)
-        self._balls = [joint for joint in list(model.joints)[2:] if joint.nv == 3]
+        behind = list(model.joints)[2:]
+        self._balls = [joint for joint in behind if joint.nv == 3]
+        lines = [(joint.idx_q, joint.idx_v) for joint in behind if (joint.nq, joint.nv) == (1, 1)]
+        turns = [(joint.idx_q, joint.idx_v) for joint in behind if (joint.nq, joint.nv) == (2, 1)]
+        # Indices in q and v of joints with one coordinate, and with a cosine and a sine.
+        self._lines = np.array(lines, dtype=np.intp).reshape(-1, 2).T
+        self._circles = np.array(turns, dtype=np.intp).reshape(-1, 2).T
+        self._neutral: Array = np.array(pin.neutral(model))
         self._reach = largest_step(model)
         self._evaluations = 0
         self._usual: Array = np.ones(P.shape[1])
         rng = np.random.default_rng(1)
-        samples = [np.diag(self._matrix(self._random(rng))) for _ in range(_SAMPLES)]
+        starts = [self._configuration(self._random(rng)) for _ in range(_SAMPLES)]
+        samples = [np.diag(self._matrix(q)) for q in starts]
         # Inertias below the round-off of the robot's inertia must not be scaled to 1.
-        turns = np.append(axes_of(model.joints[first])[3:].any(axis=0), ~self._slides)
+        is_turn = np.append(axes_of(model.joints[first])[3:].any(axis=0), ~self._slides)
         mass = sum(body.mass for body in list(model.inertias)[1:])
-        natural = mass * np.where(turns, self._reach**2, 1.0)
+        natural = mass * np.where(is_turn, self._reach**2, 1.0)
         self._usual = np.sqrt(np.maximum(np.max(samples, axis=0), _SMALLEST * natural))
 
     def massless_joints(self, tolerance: float) -> tuple[str, ...]:
         """Return the joints to lock so that the matrix is regular at one random shape or more."""
         rng = np.random.default_rng(0)
-        matrices = [self._matrix(self._random(rng)) for _ in range(SHAPES)]
+        matrices = [self._matrix(self._configuration(self._random(rng))) for _ in range(SHAPES)]
         free, names = list(range(self._bound)), []
         while free:
             pairs = [np.linalg.eigh(H[np.ix_(free, free)]) for H in matrices]
@@ -581,34 +596,38 @@ class ScaledInertia:
 
     def _least(self, y: Array) -> tuple[float, Array, Array]:
         """Return s(y), Pinocchio's q, and the minimising scaled motion w, (k,)."""
-        H, b = self._matrix(y), self._bound
+        q, b = self._configuration(y), self._bound
+        H = self._matrix(q)
         behind = H[b:, b:]
         size = np.sqrt(np.maximum(np.diag(behind), 1e-300))
         scaled = behind / np.outer(size, size)
         if not np.isfinite(scaled).all():  # The line search overflowed.
-            return np.inf, self._configuration(y), np.zeros(len(H))
+            return np.inf, q, np.zeros(len(H))
         # The pseudo-inverse allows for descendant joints whose inertia is zero at this shape.
-        follow = -np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) @ (H[b:, :b] / size[:, None])
+        values, vectors = np.linalg.eigh(scaled)
+        kept = np.abs(values) > 1e-14 * np.abs(values).max(initial=0.0)
+        inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+        follow = -inverse @ (H[b:, :b] / size[:, None])
         U = np.vstack([np.eye(b), follow / size[:, None]])
         S = U.T @ H @ U
         values, directions = np.linalg.eigh(0.5 * (S + S.T))
-        return float(values[0]), self._configuration(y), U @ directions[:, 0]
+        return float(values[0]), q, U @ directions[:, 0]
 
-    def _matrix(self, y: Array) -> Array:
-        """Return PᵀHP, scaled by the typical inertias, (k, k)."""
+    def _matrix(self, q: Array) -> Array:
+        """Return PᵀHP at a configuration, scaled by the typical inertias, (k, k)."""
         self._evaluations += 1
-        upper: Array = np.triu(pin.crba(self._model, self._data, self._configuration(y)))
+        upper: Array = np.triu(pin.crba(self._model, self._data, q))
         H = self._P.T @ ((upper + np.triu(upper, 1).T) @ self._P)
         return np.asarray(H / np.outer(self._usual, self._usual))
 
     def _configuration(self, y: Array) -> Array:
-        q: Array = np.array(pin.neutral(self._model))
-        values = self._values(y)
-        for joint in self._model.joints[2:]:
-            entries = slice(joint.idx_q, joint.idx_q + joint.nq)
-            value = values[joint.idx_v : joint.idx_v + joint.nv]
-            ball = joint.nv == 3
-            q[entries] = quaternion_exp(value) if ball else joint_configuration(joint, value[0])
+        q, values = self._neutral.copy(), self._values(y)
+        q[self._lines[0]] = values[self._lines[1]]
+        at, angles = self._circles[0], values[self._circles[1]]
+        q[at], q[at + 1] = np.cos(angles), np.sin(angles)
+        for ball in self._balls:
+            value = values[ball.idx_v : ball.idx_v + 3]
+            q[ball.idx_q : ball.idx_q + 4] = quaternion_exp(value)
         return q
 
     def _values(self, y: Array) -> Array:

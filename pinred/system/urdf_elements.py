@@ -43,7 +43,7 @@ _SAME_TYPES = {
     "quaternion_floating": "floating",
 }
 _JOINT = ("origin", "parent", "child", "axis", "mimic")
-_WORLD = "world"  # Drake's name of the ground, which needs no <link>
+WORLD = "world"  # Drake's name of the ground, which needs no <link>
 _SAME = 1e-6  # relative difference of numbers that count as equal, because files round them
 
 
@@ -102,8 +102,8 @@ def prepare(robot: Element) -> None:
             mimic.tag = "mimic"
     names = {link.get("name") for link in robot.findall("link")}
     ends = {end.get("link") for end in robot.iterfind("joint/parent")}
-    if _WORLD in ends - names:
-        robot.append(FileElement("link", {"name": _WORLD}))
+    if WORLD in ends - names:
+        robot.append(FileElement("link", {"name": WORLD}))
 
 
 def _check_unique(elements: list[Element], what: str) -> None:

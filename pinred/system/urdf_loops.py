@@ -26,7 +26,7 @@ from ..common.names import listed, nearest, quoted
 from .loops.loop import HEAVY_GROUND, Loop, LoopKind
 from .robot_file_contents import LeftOut
 from .robot_files import place
-from .urdf_elements import floats, origin_of, rotation_to
+from .urdf_elements import WORLD, floats, origin_of, rotation_to
 from .urdf_words import LOOPS, SPRINGS
 
 # Kind of loop that each type of joint closes; "axis" for a hinge.
@@ -93,8 +93,8 @@ def take_closing_joints(robot: Element) -> tuple[tuple[ClosingJoint, ...], tuple
         _refuse_several_roots(robot, second[0], roots)
     for joint in closing:
         for name in joint.links:
-            if name == "world" and name not in links:
-                tied = joint.links[joint.links[0] == "world"]
+            if name == WORLD and name not in links:
+                tied = joint.links[joint.links[0] == WORLD]
                 raise ModelError(
                     f"joint {joint.label} ties link {quoted(tied)} to the world, so the base "
                     f"{quoted(next(iter(_roots(robot)), '?'))} cannot move freely, which breaks "

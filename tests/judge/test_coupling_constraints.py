@@ -10,15 +10,17 @@ import pinocchio as pin
 import pytest
 from coupled_trees import CoupledCase, coupled_cases, make_case, multipliers
 from hypothesis import given, settings
-from loop_robots import five_bar
+from loop_robots import five_bar, four_bar
 from robot_texts import joint, link, robot, write
 from trees import random_model
 
 import pinred
 from pinred.judge import coupling_constraints as module
 from pinred.judge.coupling_constraints import CouplingConstraints
+from pinred.judge.loop_errors import loop_errors
 from pinred.judge.reference_solution import FullState
 from pinred.system.loops.kinematics import LoopKinematics
+from pinred.system.state_fields import State
 
 X = np.array([0.4, 0.0, 0.0])
 
@@ -269,3 +271,58 @@ def test_acceleration_with_loops_of_light_links() -> None:
         a = constraints.acceleration(q, v, tau, axes=axes)
         assert np.abs(J @ a + b).max() <= 10.0 * digits * (np.abs(J) @ np.abs(a)).max()
         np.testing.assert_allclose(a, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-10, 5e-9])
+def test_acceleration_with_redundant_rows_that_round_off_fills(tilt: float) -> None:
+    """A row of a planar loop is not a constraint although a rounded angle makes it nonzero.
+
+    The right side is the projection on the kernel of the two rows in the plane.
+    """
+    bars, loops = four_bar()
+    bars.jointPlacements[3] = bars.jointPlacements[3] * pin.SE3(pin.rpy.rpyToMatrix(tilt, 0, 0), X)
+    system = pinred.load(bars, loops=loops)
+    closure = system.closure
+    assert closure is not None
+    assert closure.rank == 2
+    model, rng = system.sorted_model, np.random.default_rng(0)
+    q = system.q(system.group.identity(), closure.x)
+    kinematics, data = LoopKinematics(model, system.loops), model.createData()
+    J = kinematics.jacobian(q)[:2]
+    G = np.linalg.svd(J)[2][2:].T
+    v, tau = G @ rng.normal(size=G.shape[1]), rng.normal(size=model.nv)
+    upper = np.triu(pin.crba(model, data, q))
+    H, drift = upper + np.triu(upper, 1).T, -np.linalg.pinv(J) @ kinematics.bias(q, v)[:2]
+    force = tau - pin.nonLinearEffects(model, data, q, v) - H @ drift
+    expected = drift + G @ np.linalg.solve(G.T @ H @ G, G.T @ force)
+    a = CouplingConstraints(system).acceleration(q, v, tau)
+    np.testing.assert_allclose(a, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.slow
+def test_compare_fails_if_an_independent_equation_of_a_loop_is_missing() -> None:
+    """The acceleration uses the equations that the system states; the gap measures all."""
+    model, loops = four_bar()
+    system = pinred.load(model, loops=loops)
+    assert system.closure is not None
+    scene = {"x0": {"crank": 0.5}, "xdot0": {"crank": 1.0}, "duration": 0.2}
+    assert pinred.compare(pinred.simulate(system, **scene)).passed  # type: ignore[arg-type]
+    wrong = pinred.load(model, loops=loops)
+    vars(wrong)["closure"] = replace(system.closure, rows=system.closure.rows[:1])
+    report = pinred.compare(pinred.simulate(wrong, **scene))  # type: ignore[arg-type]
+    assert not report.passed
+    assert report.loop_gap is not None
+    assert report.loop_gap > 1e-3
+
+
+def test_rate_of_the_gap_leaves_out_what_a_file_rounds() -> None:
+    """A tilt of 5e-9 rad moves the gap out of the plane, which no joint can change."""
+    bars, loops = four_bar()
+    bars.jointPlacements[3] = bars.jointPlacements[3] * pin.SE3(pin.rpy.rpyToMatrix(5e-9, 0, 0), X)
+    system = pinred.load(bars, loops=loops)
+    motion = pinred.simulate(system, xdot0={"crank": 1.0}, momentum=0, duration=0.5)
+    states = motion.motion.states(motion.t)
+    assert isinstance(states, State)
+    errors = loop_errors(system, states)
+    assert errors.rate is not None
+    assert errors.rate < 1e-13

@@ -126,6 +126,18 @@ def test_second_reader_compares_balls(tmp_path: Path) -> None:
     assert max(result.places, result.mass, result.forces) < 1e-12
 
 
+@pytest.mark.filterwarnings("ignore::pinred.LeftOutWarning")
+def test_second_reader_frees_a_base_without_a_name(tmp_path: Path) -> None:
+    """Of two robots in the world, `root` names the second, which has no name, by its number."""
+    robots = body(ARM) + body(ARM.replace('"', "'").replace("name='", "name='second ")).replace(
+        ' name="base"', ""
+    )
+    file = write_robot(tmp_path, mjcf(robots))
+    system = pinred.load(file, root="body3")
+    result = differences(system, file, "mjcf", "body3")
+    assert max(result.places, result.mass, result.forces) < 1e-12
+
+
 @pytest.mark.parametrize("error", [0.0, 1e-8])
 def test_second_reader_holds_joints_as_mujoco_does(error: float, tmp_path: Path) -> None:
     """An equality holds a joint with a reference; a wrong value of pinred's is detected."""

@@ -228,27 +228,27 @@ REFUSED = {
     "plane along gravity": (
         '<joint name="a" type="slide" axis="1 0 0" armature="1"/><joint name="b" type="slide" '
         'armature="1"/><joint axis="0 1 0"/>',
-        "0 0 -1", ["'a', 'b'", "gravity"],
+        "0 0 -1", ["joint 'a', joint 'b'", "gravity"],
     ),
     "plane, unlike": (
         '<joint name="a" type="slide" axis="1 0 0" armature="1"/><joint name="b" type="slide" '
         'armature="2"/><joint axis="0 1 0"/>',
-        "0 1 0", ["'a', 'b'", "1, 2", "the same"],
+        "0 1 0", ["joint 'a', joint 'b'", "1, 2", "the same"],
     ),
     "plane, aslant": (
         '<joint name="a" type="slide" axis="1 0 0" armature="1"/><joint name="b" type="slide" '
         'axis="1 0 1" armature="1"/><joint axis="0 1 0"/>',
-        "0 1 0", ["'a', 'b'", "right angles"],
+        "0 1 0", ["joint 'a', joint 'b'", "right angles"],
     ),
     "plane, behind a hinge": (
         '<joint name="a" type="slide" axis="1 0 0" armature="1"/><joint axis="0 1 0"/>'
         '<joint name="b" type="slide" armature="1"/>',
-        "0 1 0", ["'a', 'b'", "hinge ahead"],
+        "0 1 0", ["joint 'a', joint 'b'", "hinge ahead"],
     ),
     "plane, two hinges": (
         '<joint name="a" armature="1"/><joint name="b" pos="1 0 0"/>'
         '<joint type="slide" axis="1 0 0"/>',
-        "0 0 0", ["'a', 'b'", "1, 0", "two hinges"],
+        "0 0 0", ["joint 'a', joint 'b'", "1, 0", "two hinges"],
     ),
     "plane that climbs": (
         slides('armature="2"') + "<joint/>", "0 0 1", ["base_slide", "2, 2, 2", "gravity"],

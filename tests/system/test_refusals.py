@@ -509,3 +509,31 @@ def test_conversion_of_mismatched_times_is_refused() -> None:
     system = pinred.load("elroys_beanie")
     refused(lambda: system.q(np.zeros((3, 1)), np.zeros((2, 1))), ShapeError, ["pose", "x"])
     refused(lambda: system.v(np.zeros((3, 1)), np.zeros((2, 1))), ShapeError, ["xi", "xdot"])
+
+
+# Equality constraints, or the bodies before them, and words of the message.
+EQUALITIES = {
+    "named": ('<connect name="tie" body1="arm" anchor="0 0 0"/>', "", "connect 'tie' (line 3)"),
+    "numbered": ('<connect body1="arm" anchor="0 0 0"/>', "", "connect 'equality 0' (line 3)"),
+    "copied": (
+        '<connect body1="arm" anchor="0 0 0"/>',
+        '<replicate count="2"><geom size="1" contype="0" conaffinity="0"/></replicate>',
+        "connect 'equality 0' ties",
+    ),
+    "of a tendon": (
+        '<tendon name="t" tendon1="t"/></equality><tendon><spatial name="t"><site site="s"/>'
+        '<site site="far"/></spatial></tendon><equality>',
+        "",
+        "tendon 't' (line 3) is spatial: equality tendon 't' (line 3) is not supported",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", EQUALITIES)
+def test_message_about_an_equality_states_its_line(name: str, tmp_path: Path) -> None:
+    """Also of one without a name, but not if copies of bodies may add constraints."""
+    constraint, more, words = EQUALITIES[name]
+    arms = '<site name="far"/>' + body(f'{HINGE}<site name="s"/>', "arm")
+    text = mjcf(body(f"<freejoint/>{arms}") + more)
+    text = text.replace("</mujoco>", f"\n<equality>\n{constraint}</equality></mujoco>")
+    refused(lambda: pinred.load(write(tmp_path, text)), ModelError, [words])

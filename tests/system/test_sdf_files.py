@@ -666,7 +666,19 @@ SPHERE = '<frame name="f" attached_to="g"/>\n<frame name="g" attached_to="f"/>'
             "model with name[m]; name a link, joint, frame or model that exists",
         ),
         (sdf(ARM[0], "\n", ARM[0]), "line 2: Non-unique name[base] detected 2 times"),
+        (sdf(ARM[0], "\n", SPHERE), "line 2: FrameAttachedToGraph cycle detected"),
         (sdf(ARM[0], SPHERE), "attach one of the frames to a link"),
+        (
+            sdf(*ARM).replace('<model name="m"', '\n<model name="m" placement_frame="nobody"'),
+            "line 2: PoseRelativeToGraph unable to find unique frame with name [nobody] in graph; "
+            "name a link, joint, frame or model that exists",
+        ),
+        (
+            sdf("\n", link("__leg__"), *ARM),
+            "line 2: The supplied link name [__leg__] is reserved; re",
+        ),
+        (sdf("\n", "<link/>", *ARM), "element[link] is not specified in SDF; correct this element"),
+        (sdf(*ARM, "\n<drake:ball_constraint/>"), "line 2: add <drake:ball_constraint_body_A> and"),
         (
             sdf(ARM[0], "\n", ARM[1].replace("0.2 0 0", "0.2")),
             "line 2: Error reading element <pose",

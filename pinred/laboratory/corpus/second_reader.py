@@ -89,6 +89,11 @@ def differences(
     return Differences(*(max(getattr(sample, name) for sample in samples) for name in names))
 
 
+def _body(spec: Any, name: str) -> Any:
+    """Return a body of an MjSpec; a body without a name is called by its number."""
+    return spec.body(name) or next(b for k, b in enumerate(spec.bodies) if f"body{k}" == name)
+
+
 def _read(system: System, file: str, kind: str, root: str | None) -> Any:
     """Read a file with MuJoCo; add a free joint to the base if it floats in pinred."""
     mj = mujoco_package()
@@ -108,7 +113,7 @@ def _read(system: System, file: str, kind: str, root: str | None) -> Any:
     if free and system.model.existBodyName("world"):
         raise LoadError("MuJoCo takes the link 'world' for the fixed world and ignores its mass")
     if free or system.contents.freed:
-        tops = [spec.body(root)] if root else _top_bodies(spec, system)
+        tops = [_body(spec, root)] if root else _top_bodies(spec, system)
         if len(tops) != 1:
             raise LoadError("several bodies of MuJoCo's world could be the floating base")
         tops[0].add_freejoint()

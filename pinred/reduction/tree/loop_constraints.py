@@ -42,11 +42,28 @@ from ...common.memo import once
 from ...system.coordinates import PlacedJoint, ShapeSpace
 from ...system.loops.kinematics import LoopEnd, loop_ends, rotation_axes
 from ...system.loops.loop import JointPolynomial, Loop
+from ...system.loops.loop_assembly import rate_units, scaled_jacobian
+from ...system.shape_space import PlacedJoint, ShapeSpace
 from ...system.system import System
+from ...system.variants import nominal
 from .all_joints import joint_rates, joint_values, on_shape
 from .articulated_sweep import Swept, step_of
 from .body_frames import Body, bodies_of
-from .scalars import Mat, Scalar, Vec, add, as_column, cross, dot, mul, plus, solve_ldl, sub, total
+from .scalars import (
+    Mat,
+    Scalar,
+    Vec,
+    add,
+    as_column,
+    cross,
+    dot,
+    factor_ldl,
+    mul,
+    plus,
+    solve_factored,
+    sub,
+    total,
+)
 
 _UNITS: Mat = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
@@ -270,6 +287,8 @@ def _coefficients(
 # Rate at which the impetus approaches the canonical momentum [1/s].  Under a steady load λ of the
 # loops, ν tends to −λ over this rate; without it, ν grows like λ t, and steps become shorter.
 GAUGE_RATE = 1.0
+# Response of the open tree, relative to that at closed loops, above which round-off counts.
+_LOSS = 100.0
 
 
 @dataclass(frozen=True)
@@ -347,7 +366,6 @@ def solve_with_loops(
     Returns:
         Velocities, canonical momenta and rates.
     """
-    m = system.m
     driven = bool(prescribed)
     entries = ca.vertsplit(ca.SX.sym("x", system.nx)) if driven else x
     column = ca.vertcat(*entries)
@@ -367,13 +385,58 @@ def solve_with_loops(
         gaps = [dot(row, free.xdot) for row in J]
     else:
         gaps = [_product(response, free) for response in responses]
-    nu = solve_ldl(mobility, gaps)
-    along = [total([mul(row[k], n) for row, n in zip(J, nu, strict=True)]) for k in range(m)]
-    pi = [sub(p, a) for p, a in zip(momentum, along, strict=True)]
+    L, _, inverse = factor_ldl(mobility)
+    nu = solve_factored(L, inverse, gaps)
+    pi, along = _less_multipliers(J, momentum, nu)
     swept = sweep(pi, True)
+    if needs_second_solution(system):
+        more = solve_factored(L, inverse, [dot(row, swept.xdot) for row in J])
+        pi, along_more = _less_multipliers(J, pi, more)
+        nu, along = _sums(nu, more), _sums(along, along_more)
+        swept = sweep(pi, True)
     turned = _turning(system, rows, nu, joint_rates(system, swept.xdot))
     rates = [sub(t, mul(GAUGE_RATE, a)) for t, a in zip(turned, along, strict=True)]
     return LoopTerms(swept, pi, rates, phi, by_coordinates, mobility)
+
+
+def _less_multipliers(
+    J: Sequence[Sequence[Scalar]], momentum: Sequence[Scalar], nu: Sequence[Scalar]
+) -> tuple[list[Scalar], list[Scalar]]:
+    """Return p − Jᵀν and Jᵀν, (m,) each."""
+    along = [
+        total([mul(row[k], n) for row, n in zip(J, nu, strict=True)]) for k in range(len(momentum))
+    ]
+    return [sub(p, a) for p, a in zip(momentum, along, strict=True)], along
+
+
+def _sums(a: Sequence[Scalar], b: Sequence[Scalar]) -> list[Scalar]:
+    return [add(x, y) for x, y in zip(a, b, strict=True)]
+
+
+def needs_second_solution(system: System) -> bool:
+    """Return whether the difference p − Jᵀν loses digits, so that the loops are solved twice.
+
+    Round-off of the difference moves the open tree, and the second solution projects this motion on
+    the closed shapes.  Both are compared at one closed shape, by the largest eigenvalues of the
+    inverse mass matrices: light links respond much more in the open tree if the loops hold them.
+    """
+    system = nominal(system)
+
+    def decide() -> bool:
+        closure = system.closure
+        assert closure is not None
+        model, q = system.sorted_model, system.sorted_q(system.group.identity(), closure.x)
+        upper = np.triu(pin.crba(model, model.createData(), q))
+        H = system.coupled_matrix((upper + np.triu(upper, 1).T)[None])[0]
+        units = rate_units(system, closure.length)
+        response = np.linalg.inv(H)[system.r :, system.r :] / np.outer(units, units)
+        J = scaled_jacobian(system, closure.x, closure.length)[closure.rows]
+        kept = np.linalg.svd(J)[2][len(J) :]
+        held = np.linalg.inv(kept @ np.linalg.solve(response, kept.T))
+        free, closed = (float(np.linalg.eigvalsh(matrix)[-1]) for matrix in (response, held))
+        return free > _LOSS * closed
+
+    return once(system, needs_second_solution, decide)
 
 
 def _product(a: Swept, b: Swept) -> Scalar:

@@ -138,7 +138,9 @@ def _refuse_negative(spec: Any) -> None:
     for body in spec.bodies:
         for what, values in (("mass", [body.mass]), ("moment of inertia", body.inertia)):
             if min(values) < 0.0:
-                raise ModelError(f"body '{body.name}' has negative {what} {min(values):g}")
+                raise ModelError(
+                    f"body '{body.name}' has negative {what} {min(values):g}; state a positive one"
+                )
 
 
 def _drop_pictures(spec: Any) -> None:

@@ -113,11 +113,11 @@ def _bodies(tree: Tree, constraint: Constraint) -> list[int]:
 
 
 def _ties_outside(tree: Tree, constraint: Constraint) -> bool:
-    """Return whether a constraint ties the robot to a body that is not part of it.
+    """Return whether a constraint ties the robot to a body that is neither robot nor ground.
 
     Raises:
-        ModelError: The constraint attaches a body of the robot to the ground, relative to which it
-            moves.
+        ModelError: The constraint attaches a body of the robot to the ground, relative to which
+            the base moves.
     """
     bodies = _bodies(tree, constraint)
     on_robot = [body for body in bodies if body in tree.carriers]
@@ -126,20 +126,23 @@ def _ties_outside(tree: Tree, constraint: Constraint) -> bool:
         return False
     if len(on_robot) + len(ground) < 2:
         return True
-    if not ground or tree.carriers[on_robot[0]].joint == 0:
+    # If the file fixes the base, the ground is the base, whose motion moves both ends of a loop.
+    if not ground or tree.root is None or tree.carriers[on_robot[0]].joint == 0:
         return False
     names = " and ".join(f"'{tree.world.body_names[body] or 'world'}'" for body in bodies)
     raise ModelError(
-        f"closed loops through the world are not supported, because they break the symmetry: "
-        f"equality {constraint.kind} '{constraint.name}' ties {names}; remove it or set "
-        f'active="false", lock the joints between them (lock=), or {HEAVY_GROUND}'
+        "closed loops through the world are not supported if the base has joints, because they "
+        f"break its symmetry: equality {constraint.kind} '{constraint.name}' ties {names}, but "
+        f"the base moves by joint '{tree.root.name}'; remove it or set active=\"false\", lock the "
+        f"joints between them (lock=), or {HEAVY_GROUND}"
     )
 
 
 def _closes_loop(tree: Tree, constraint: Constraint) -> bool:
-    """Return whether a constraint ties two bodies of the robot that move relative to each other."""
-    on_robot = [body for body in _bodies(tree, constraint) if body in tree.carriers]
-    return len({tree.carriers[body].joint for body in on_robot}) == 2
+    """Return whether a constraint ties two bodies that move relative to each other."""
+    carriers = [tree.carrier(body) for body in _bodies(tree, constraint)]
+    on_robot = any(body in tree.carriers for body in _bodies(tree, constraint))
+    return on_robot and carriers[0].joint != carriers[1].joint
 
 
 def _loop(tree: Tree, constraint: Constraint) -> Loop:
@@ -157,7 +160,7 @@ def _loop(tree: Tree, constraint: Constraint) -> Loop:
     for number, (body, placement) in enumerate(
         zip(_bodies(tree, constraint), placements, strict=True), start=1
     ):
-        carrier, name = tree.carriers[body], f"{constraint.name} {number}"
+        carrier, name = tree.carrier(body), f"{constraint.name} {number}"
         frame_type = pin.FrameType.OP_FRAME
         tree.model.addFrame(
             pin.Frame(name, carrier.joint, 0, carrier.at * placement, frame_type), False
@@ -196,7 +199,7 @@ def _laws(tree: Tree, constraint: Constraint) -> Sequence[Coupling | JointPolyno
     leader = joint_of(world, second)
     if second not in free:
         raise ModelError(
-            f"'{leader.name}' is the leader of joint '{follower.name}' by equality "
+            f"joint '{leader.name}' is the leader of joint '{follower.name}' by equality joint "
             f"'{constraint.name}', but it is locked; lock the follower as well "
             f"(lock=['{follower.name}']), or remove the constraint"
         )

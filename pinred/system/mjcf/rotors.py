@@ -92,9 +92,9 @@ def _refuse_falling(joints: Sequence[Joint], gravity: Array, axes: Array) -> Non
 
 
 def _refuse(joints: Sequence[Joint], why: str) -> NoReturn:
-    names = ", ".join(f"'{joint.name}'" for joint in joints)
+    names = ", ".join(f"joint '{joint.name}'" for joint in joints)
     values = ", ".join(f"{value:g}" for value in _rotors(joints))
     raise ModelError(
-        f"the joints {names} of the base have armature {values}: {why}; set it to zero, or add it "
-        "to the inertia of the body"
+        f"the base has {names} with armature {values}: {why}; set it to zero, or add it to the "
+        "inertia of the body"
     )

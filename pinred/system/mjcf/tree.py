@@ -68,6 +68,11 @@ class Tree:
         """The bodies that the file fixes to the world."""
         return [body for body, carrier in self.carriers.items() if carrier.joint == 0]
 
+    def carrier(self, body: int) -> Carrier:
+        """Return the joint that moves a body of the robot or of the ground."""
+        at_rest = Carrier(0, _place_in_world(self.world, body))
+        return self.carriers.get(body, at_rest)
+
     @property
     def free_joints(self) -> list[int]:
         """The ids of joints that are not locked."""
@@ -107,7 +112,7 @@ def tree_of(
     root_body = _root_body(tree)
     for body in world.bodies:
         parent = int(world.model.body_parentid[body])
-        under = tree.carriers.get(parent) or Carrier(0, _place_in_world(world, parent))
+        under = tree.carrier(parent)
         at = under.at * frame(world.model.body_pos[body], world.model.body_quat[body])
         carrier = Carrier(under.joint, at)
         joints = list(world.joints(body))
