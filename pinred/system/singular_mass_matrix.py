@@ -36,16 +36,9 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..lie.groups import SE3
 from ..lie.rotations import left_jacobian, quaternion_exp
-<<<<<<<
-=======
-from .joints import axes_of, is_prismatic
-from .massless_motions import largest_step
-
-# Number of random shapes.  A motion that moves no mass at these shapes moves none at any shape.
->>>>>>>
 from .coordinates import tree_space
 from .coupling import Coupled
-from .joints import axes_of, is_prismatic, joint_configuration, largest_step
+from .joints import axes_of, is_prismatic, largest_step
 
 # Sines of angles between directions below which the directions count as equal: EXACT allows for
 # round-off, NEARLY for the decimals of numbers in a file.

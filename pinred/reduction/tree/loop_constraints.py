@@ -43,9 +43,7 @@ from ...system.coordinates import PlacedJoint, ShapeSpace
 from ...system.loops.kinematics import LoopEnd, loop_ends, rotation_axes
 from ...system.loops.loop import JointPolynomial, Loop
 from ...system.loops.loop_assembly import rate_units, scaled_jacobian
-from ...system.shape_space import PlacedJoint, ShapeSpace
-from ...system.system import System
-from ...system.variants import nominal
+from ...system.system import System, nominal
 from .all_joints import joint_rates, joint_values, on_shape
 from .articulated_sweep import Swept, step_of
 from .body_frames import Body, bodies_of
