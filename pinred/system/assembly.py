@@ -8,7 +8,7 @@ that is reversed has the inverse attitude.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -22,6 +22,8 @@ from ..lie.rotations import apply, conjugate, rotation
 from .body_parameters import link_inertias, moments_of
 from .force_interface import Force
 from .joints import axes_of, is_ball, root_joint
+from .loops.kinematics import find_frame
+from .loops.loop import Constraint, Loop
 from .rebuild import ModelBuilder
 from .robot_file_contents import Contents, Derivation, LeftOut, Origin
 from .system import System
@@ -391,31 +393,50 @@ def to_system(assembly: Assembly, name: str, contents: Contents, derivation: Der
     )  # fmt: skip
 
 
-def contents_of(system: System, joints: Collection[str] | None = None) -> Contents:
+def contents_of(
+    system: System, joints: Collection[str] | None = None, links: Collection[str] = ()
+) -> Contents:
     """Return the contents of a file that a changed tree keeps.
 
     Args:
         system: The robot.
-        joints: Names of the joints that the tree keeps; None for all.
+        joints: Names of the joints that the tree keeps; None for the whole tree.
+        links: Names of the links that it keeps, if not the whole tree.
     Raises:
-        InputError: A coupling, spring, damper or actuator connects a joint with one that is not
-            kept.
+        InputError: A coupling, spring, damper, actuator or loop connects a joint or link with one
+            that is not kept.
     """
     contents = system.contents
-    kept = {str(name) for name in system.sorted_model.names[1:]} if joints is None else {*joints}
+    if joints is None:
+        return replace(
+            Contents(), left_out=contents.left_out, passive=contents.passive,
+            actuators=tuple(a for a in contents.actuators if not a.on_base),
+            couplings=contents.couplings, warnings=contents.warnings, loops=contents.loops,
+            coupled_loops=contents.coupled_loops,
+        )  # fmt: skip
+    kept = {*joints}
 
     def belongs(ends: Sequence[str | None], what: str) -> bool:
-        inside = [end for end in ends if end is not None and _joint_in(end, kept)]
-        if inside and len(inside) < sum(end is not None for end in ends):
-            names = listed([str(end) for end in ends], 6)
+        return inside([end for end in ends if end], lambda end: _joint_in(end, kept), what)
+
+    def inside(ends: Sequence[str], keeps: Callable[[str], bool], what: str) -> bool:
+        count = sum(map(keeps, ends))
+        if 0 < count < len(ends):
             raise InputError(
-                f"{what} of '{system.name}' connects joints that the cut separates: {names}. Load "
-                "the robot without it, or cut elsewhere"
+                f"{what} of '{system.name}' connects parts that the cut separates: "
+                f"{listed(ends, 6)}. Load the robot without it, or cut elsewhere"
             )
-        return bool(inside)
+        return count > 0
+
+    def closes(loop: Constraint) -> bool:
+        what = f"loop {quoted(loop.name)}"
+        if not isinstance(loop, Loop):
+            return belongs((loop.follower, loop.leader), what)
+        owners, model = take_apart(system).owners, system.sorted_model
+        ends = (loop.frame_a, loop.frame_b)
+        return inside(ends, lambda end: owners[find_frame(model, end)] in links, what)
 
     return Contents(
-        left_out=contents.left_out if joints is None else (),
         passive=tuple(
             force for force in contents.passive
             if belongs((_end(force, "joint"), _end(force, "to")), "a spring or damper")
@@ -425,6 +446,8 @@ def contents_of(system: System, joints: Collection[str] | None = None) -> Conten
             c for c in contents.couplings if belongs((c.follower, *c.leaders), "a coupling")
         ),
         warnings=contents.warnings,
+        loops=tuple(filter(closes, contents.loops)),
+        coupled_loops=tuple(filter(closes, contents.coupled_loops)),
     )  # fmt: skip
 
 
@@ -468,8 +491,15 @@ def renamed_contents(contents: Contents, prefix: str) -> Contents:
         }
         return replace(entry, **ends)  # type: ignore[type-var]
 
+    def loop(entry: Constraint) -> Constraint:
+        ends = ("frame_a", "frame_b") if isinstance(entry, Loop) else ("follower", "leader")
+        names = {name: prefix + getattr(entry, name) for name in (*ends, "name")}
+        return replace(entry, **names)
+
     return replace(
         contents,
+        loops=tuple(map(loop, contents.loops)),
+        coupled_loops=tuple(map(loop, contents.coupled_loops)),
         left_out=tuple(
             replace(left, names=tuple(prefix + name for name in left.names))
             for left in contents.left_out
@@ -499,6 +529,8 @@ def both_contents(a: Contents, b: Contents) -> Contents:
         passive=(*a.passive, *b.passive),
         actuators=(*a.actuators, *b.actuators),
         couplings=(*a.couplings, *b.couplings),
+        loops=(*a.loops, *b.loops),
+        coupled_loops=(*a.coupled_loops, *b.coupled_loops),
         warnings=tuple(dict.fromkeys((*a.warnings, *b.warnings))),
     )
 
@@ -540,18 +572,36 @@ def leaves_group(assembly: Assembly, twists: Array, path: Sequence[Edge]) -> str
 
 def reversed_balls(old: Assembly, new: Assembly) -> set[str]:
     """Return the balls of an assembly that another one has in the other direction."""
-    above = {edge.name: edge.above for edge in old.directed() if _is_ball_edge(edge)}
-    return {e.name for e in new.directed() if e.name in above and above[e.name] != e.above}
+    return {e.name for e in _reversed_joints(old, new) if is_ball(e.joint)}
 
 
-def _is_ball_edge(edge: Edge) -> bool:
-    return edge.joint is not None and is_ball(edge.joint)
+def _reversed_joints(old: Assembly, new: Assembly) -> list[Edge]:
+    above = {edge.name: edge.above for edge in old.directed() if edge.joint is not None}
+    return [e for e in new.directed() if e.name in above and above[e.name] != e.above]
 
 
-def refuse_forced_balls(contents: Contents, balls: Collection[str], what: str) -> None:
-    """Reject forces at balls whose direction changes.  Raises UnsupportedOperationError."""
+def refuse_reversed(contents: Contents, old: Assembly, new: Assembly, what: str) -> None:
+    """Reject joints whose direction changes, where it matters: forced balls, and ends of loops.
+
+    Args:
+        contents: Contents of the files.
+        old: Assembly before the change.
+        new: Assembly after it.
+        what: Name of the caller in messages.
+    Raises:
+        UnsupportedOperationError: A force acts at a reversed ball, or a loop ends at the frame of
+            a reversed joint, which would move with another link.
+    """
+    links = {name for name in names_in(old) if name not in {e.name for e in old.edges}}
+    turned = {edge.name for edge in _reversed_joints(old, new)} - links
+    for loop in contents.loops:
+        if isinstance(loop, Loop) and (at := turned & {loop.frame_a, loop.frame_b}):
+            raise UnsupportedOperationError(
+                f"{what}: loop {quoted(loop.name)} ends at joint {quoted(min(at))}, which "
+                "changes its direction. State a link or frame as the end of the loop"
+            )
     ends = [_end(force, end) for force in contents.passive for end in ("joint", "to")]
-    for name in balls:
+    for name in reversed_balls(old, new):
         labels = [end for end in (*ends, *(a.joint for a in contents.actuators)) if end is not None]
         if any(_joint_in(label, {name}) for label in labels):
             raise UnsupportedOperationError(

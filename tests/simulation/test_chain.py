@@ -193,6 +193,33 @@ def test_landing_in_a_chain_goes_on_in_stance(tmp_path: Path) -> None:
     assert recording.system.shape_names == stance.system.shape_names
 
 
+def test_chain_of_a_robot_with_loops_passes_the_comparison(tmp_path: Path) -> None:
+    """A linkage catches a disc and lets it go, or lands; a file makes the robot again."""
+    bars = pinred.load("four_bar", gravity=REST)
+    model = pinred.Model("disc").body("disc", mass=2.0, inertia=1.5)
+    disc = pinred.load(model, group="SE2", gravity=REST)
+    approach = pinred.simulate(bars, seed=3, duration=0.2)
+    tip = frame_of_link(bars, approach, "rocker_tip")
+    angle = np.arctan2(tip.rotation[1, 0], tip.rotation[0, 0])
+    pose = [*tip.translation[:2], angle - 0.1]
+    other = pinred.simulate(disc, pose0=pose, xi0=[0.0, 0.0, 0.5], duration=0.2)
+    capture = pinred.capture(approach, other, at="rocker_tip", onto="disc")
+    together = pinred.simulate(capture.system, **capture.start, duration=0.2)
+    release = pinred.release(together, "disc")
+    apart = [
+        pinred.simulate(p.system, **p.start, duration=0.1)
+        for p in (release.carrier, release.released)
+    ]
+    chain = pinred.chain([approach, other], capture, together, release, apart)
+    assert pinred.compare(chain)
+    chain.save(tmp_path / "chain.npz")
+    assert pinred.read_recording(tmp_path / "chain.npz").system.loops == bars.loops
+    landing = pinred.land(approach, "rocker_tip")
+    assert landing.stance is not None
+    stance = pinred.simulate(landing.stance.system, **landing.stance.start, duration=0.1)
+    assert pinred.compare(pinred.chain(approach, landing, stance))
+
+
 SLIGHT = 6e-11  # relative change that the bound of 1e-11 finds, and a tenfold bound would not
 
 
@@ -222,7 +249,7 @@ def changed(impact: Any, name: str) -> Any:
 
 
 @pytest.mark.parametrize("name", ["xi", "xdot", "impulse", "energy_lost"])
-@pytest.mark.parametrize("kind", ["trees", "balls", "followers", "flat"])
+@pytest.mark.parametrize("kind", ["trees", "balls", "followers", "loops", "flat"])
 def test_comparison_finds_a_wrong_impact(kind: str, name: str) -> None:
     """A slight change of a capture or landing fails, and the impact itself passes."""
     pair = make_pair(kind, 300)
