@@ -155,7 +155,10 @@ def _follow(
         return 0
     earlier = [motion for motion in before if isinstance(motion, Trajectory)]
     if len(earlier) < len(before):
-        raise InputError("a motion after the impact needs scene files (.toml), not recordings")
+        raise InputError(
+            "a motion after the impact needs scene files (.toml) of one motion, not recordings; "
+            "state further phases in the file, as tables [[phases]] (docs/scenes.md)"
+        )
     after: list[Trajectory] = [
         simulate(system, **start, **options, progress=True) for system, start in states
     ]

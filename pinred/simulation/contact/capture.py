@@ -63,8 +63,7 @@ class _AfterImpact:
     @property
     def start(self) -> dict[str, Any]:
         """Options that start a simulation at this state: pose0, x0, xdot0 and xi0."""
-        state = self.instant
-        return {"pose0": state.pose, "x0": state.x, "xdot0": state.xdot, "xi0": state.xi}
+        return options_of(self.instant)
 
     @property
     def scene(self) -> Scene:
@@ -256,6 +255,11 @@ def moment_of(value: Moment, what: str) -> tuple[System, Instant]:
     if not all(is_finite(column) for column in vars(state).values()):
         raise InputError(f"{what}: the state of '{system.name}' is not finite")
     return system, state
+
+
+def options_of(state: Instant) -> dict[str, Any]:
+    """Return the options that start a simulation at a state: pose0, x0, xdot0 and xi0."""
+    return {f"{name}0": value for name, value in vars(state).items()}
 
 
 def _same_state(a: Instant, b: Instant) -> bool:

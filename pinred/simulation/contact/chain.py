@@ -33,7 +33,7 @@ from ...system.system import System
 from ..impacts import ImpactTable
 from ..recording import Recording
 from ..trajectory import Trajectory
-from .capture import Capture, Release, mass_matrix
+from .capture import Capture, Release, mass_matrix, moment_of
 from .landing import Landing
 
 Impact: TypeAlias = Capture | Release | Landing
@@ -297,7 +297,12 @@ def gap(a: Sequence[Moving], b: Sequence[Moving]) -> float:
 
 def _check_fit(whole: System, before: Phase, impact: Impact | None, after: Phase) -> None:
     """Reject phases that do not fit to the impact between them."""
-    end, start = before.parts(before.end), after.parts(after.start)
+    # An impact at a stop may follow at once, so the states count from which the motions start.
+    end = before.parts(before.end)
+    start = [
+        Moving(traj.system, moment_of(traj.scene, "chain")[1], prefix)
+        for traj, prefix in zip(after.motions, after.prefixes, strict=True)
+    ]
     ends, starts = (start, end) if impact is None else parts_of(whole, impact)
     what = "the motion before" if impact is None else f"the {type(impact).__name__}"
     if impact is not None and gap(end, ends) > _FITTING:
