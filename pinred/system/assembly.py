@@ -8,9 +8,9 @@ that is reversed has the inverse attitude.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -19,13 +19,14 @@ from ..common.arrays import Array
 from ..common.errors import InputError, UnsupportedOperationError
 from ..common.names import listed, nearest, quoted
 from ..lie.rotations import apply, conjugate, rotation
+from .actuator import Actuator
 from .body_parameters import link_inertias, moments_of
 from .force_interface import Force
 from .joints import axes_of, is_ball, root_joint
 from .loops.kinematics import find_frame
 from .loops.loop import Constraint, Loop
 from .rebuild import ModelBuilder
-from .robot_file_contents import Contents, Derivation, LeftOut, Origin
+from .robot_file_contents import Contents, Coupling, Derivation, LeftOut, Origin
 from .system import System
 
 _FIXED_FRAMES = (pin.FrameType.FIXED_JOINT, pin.FrameType.JOINT)
@@ -393,6 +394,18 @@ def to_system(assembly: Assembly, name: str, contents: Contents, derivation: Der
     )  # fmt: skip
 
 
+# Entries of the contents of a file that name joints or frames, and their fields that do.
+_ENTRIES = ("passive", "actuators", "couplings", "loops", "coupled_loops")
+_ENDS = ("joint", "to", "follower", "leader", "frame_a", "frame_b")
+_Entry: TypeAlias = Force | Actuator | Coupling | Constraint
+
+
+def _ends(entry: _Entry) -> dict[str, str]:
+    """Return the joints or frames that an entry names, by field."""
+    values = {name: getattr(entry, name, None) for name in _ENDS}
+    return {name: value for name, value in values.items() if value is not None}
+
+
 def contents_of(
     system: System, joints: Collection[str] | None = None, links: Collection[str] = ()
 ) -> Contents:
@@ -403,56 +416,34 @@ def contents_of(
         joints: Names of the joints that the tree keeps; None for the whole tree.
         links: Names of the links that it keeps, if not the whole tree.
     Raises:
-        InputError: A coupling, spring, damper, actuator or loop connects a joint or link with one
-            that is not kept.
+        InputError: A coupling, spring, damper or loop connects a joint or link with one that is
+            not kept.
     """
     contents = system.contents
-    if joints is None:
-        return replace(
-            Contents(), left_out=contents.left_out, passive=contents.passive,
-            actuators=tuple(a for a in contents.actuators if not a.on_base),
-            couplings=contents.couplings, warnings=contents.warnings, loops=contents.loops,
-            coupled_loops=contents.coupled_loops,
-        )  # fmt: skip
-    kept = {*joints}
 
-    def belongs(ends: Sequence[str | None], what: str) -> bool:
-        return inside([end for end in ends if end], lambda end: _joint_in(end, kept), what)
-
-    def inside(ends: Sequence[str], keeps: Callable[[str], bool], what: str) -> bool:
-        count = sum(map(keeps, ends))
-        if 0 < count < len(ends):
+    def stays(entry: _Entry) -> bool:
+        if joints is None:
+            return True
+        ends = [*_ends(entry).values(), *getattr(entry, "ratios", ())]
+        if isinstance(entry, Loop):
+            model, owners = system.sorted_model, take_apart(system).owners
+            kept = [owners[find_frame(model, end)] in links for end in ends]
+        else:
+            kept = [_joint_in(end, joints) for end in ends]
+        if any(kept) and not all(kept):
+            name = f" {quoted(entry.name)}" if hasattr(entry, "name") else ""
             raise InputError(
-                f"{what} of '{system.name}' connects parts that the cut separates: "
-                f"{listed(ends, 6)}. Load the robot without it, or cut elsewhere"
+                f"{type(entry).__name__}{name} of '{system.name}' connects parts that the cut "
+                f"separates: {listed(ends, 6)}. Load the robot without it, or cut elsewhere"
             )
-        return count > 0
+        return all(kept)
 
-    def closes(loop: Constraint) -> bool:
-        what = f"loop {quoted(loop.name)}"
-        if not isinstance(loop, Loop):
-            return belongs((loop.follower, loop.leader), what)
-        owners, model = take_apart(system).owners, system.sorted_model
-        ends = (loop.frame_a, loop.frame_b)
-        return inside(ends, lambda end: owners[find_frame(model, end)] in links, what)
-
-    return Contents(
-        passive=tuple(
-            force for force in contents.passive
-            if belongs((_end(force, "joint"), _end(force, "to")), "a spring or damper")
-        ),
-        actuators=tuple(a for a in contents.actuators if not a.on_base and a.joint in kept),
-        couplings=tuple(
-            c for c in contents.couplings if belongs((c.follower, *c.leaders), "a coupling")
-        ),
-        warnings=contents.warnings,
-        loops=tuple(filter(closes, contents.loops)),
-        coupled_loops=tuple(filter(closes, contents.coupled_loops)),
-    )  # fmt: skip
-
-
-def _end(force: Force, name: str) -> str | None:
-    return getattr(force, name, None)
+    entries: dict[str, Any] = {
+        kind: tuple(filter(stays, getattr(contents, kind))) for kind in _ENTRIES
+    }
+    entries["actuators"] = tuple(a for a in entries["actuators"] if not a.on_base)
+    left_out = contents.left_out if joints is None else ()
+    return Contents(left_out=left_out, warnings=contents.warnings, **entries)
 
 
 def _joint_in(label: str, joints: Collection[str]) -> bool:
@@ -479,43 +470,24 @@ def renamed(assembly: Assembly, prefix: str) -> Assembly:
 
 
 def renamed_contents(contents: Contents, prefix: str) -> Contents:
-    """Return contents of a file for joints whose names have a prefix."""
-    if not prefix:
-        return contents
+    """Return contents of a file for joints, links and frames whose names have a prefix."""
 
-    def force(entry: Force) -> Force:
-        ends: Any = {
-            name: prefix + value
-            for name in ("joint", "to")
-            if (value := _end(entry, name)) is not None
-        }
-        return replace(entry, **ends)  # type: ignore[type-var]
+    def renamed_entry(entry: _Entry) -> _Entry:
+        names: dict[str, Any] = {end: prefix + name for end, name in _ends(entry).items()}
+        if hasattr(entry, "name"):
+            names["name"] = prefix + entry.name
+        if isinstance(entry, Coupling):
+            names["ratios"] = {prefix + name: ratio for name, ratio in entry.ratios.items()}
+        return replace(entry, **names)  # type: ignore[type-var]
 
-    def loop(entry: Constraint) -> Constraint:
-        ends = ("frame_a", "frame_b") if isinstance(entry, Loop) else ("follower", "leader")
-        names = {name: prefix + getattr(entry, name) for name in (*ends, "name")}
-        return replace(entry, **names)
-
-    return replace(
-        contents,
-        loops=tuple(map(loop, contents.loops)),
-        coupled_loops=tuple(map(loop, contents.coupled_loops)),
-        left_out=tuple(
-            replace(left, names=tuple(prefix + name for name in left.names))
-            for left in contents.left_out
-        ),
-        passive=tuple(map(force, contents.passive)),
-        actuators=tuple(
-            replace(a, name=prefix + a.name, joint=prefix + a.joint) for a in contents.actuators
-        ),
-        couplings=tuple(
-            replace(
-                c, follower=prefix + c.follower,
-                ratios={prefix + name: ratio for name, ratio in c.ratios.items()},
-            )
-            for c in contents.couplings
-        ),
-    )  # fmt: skip
+    left_out = tuple(
+        replace(left, names=tuple(prefix + name for name in left.names))
+        for left in contents.left_out
+    )
+    entries: dict[str, Any] = {
+        kind: tuple(map(renamed_entry, getattr(contents, kind))) for kind in _ENTRIES
+    }
+    return replace(contents, left_out=left_out, **entries)
 
 
 def both_contents(a: Contents, b: Contents) -> Contents:
@@ -524,14 +496,11 @@ def both_contents(a: Contents, b: Contents) -> Contents:
     for left in (*a.left_out, *b.left_out):
         key = left.what, left.demanded
         names[key] = (*names.get(key, ()), *left.names)
+    entries: dict[str, Any] = {kind: (*getattr(a, kind), *getattr(b, kind)) for kind in _ENTRIES}
     return Contents(
         left_out=tuple(LeftOut(what, n, demanded) for (what, demanded), n in names.items()),
-        passive=(*a.passive, *b.passive),
-        actuators=(*a.actuators, *b.actuators),
-        couplings=(*a.couplings, *b.couplings),
-        loops=(*a.loops, *b.loops),
-        coupled_loops=(*a.coupled_loops, *b.coupled_loops),
         warnings=tuple(dict.fromkeys((*a.warnings, *b.warnings))),
+        **entries,
     )
 
 
@@ -600,9 +569,9 @@ def refuse_reversed(contents: Contents, old: Assembly, new: Assembly, what: str)
                 f"{what}: loop {quoted(loop.name)} ends at joint {quoted(min(at))}, which "
                 "changes its direction. State a link or frame as the end of the loop"
             )
-    ends = [_end(force, end) for force in contents.passive for end in ("joint", "to")]
+    forces: tuple[_Entry, ...] = (*contents.passive, *contents.actuators)
+    labels = [label for force in forces for label in _ends(force).values()]
     for name in reversed_balls(old, new):
-        labels = [end for end in (*ends, *(a.joint for a in contents.actuators)) if end is not None]
         if any(_joint_in(label, {name}) for label in labels):
             raise UnsupportedOperationError(
                 f"{what}: ball {quoted(name)} changes its direction, and a spring, damper or "

@@ -397,7 +397,7 @@ def test_release_keeps_a_loop_whole() -> None:
     assert release.carrier.system.loops == capture.a.loops
     assert release.released.system.loops == ()
     with pytest.raises(
-        InputError, match=r"loop 'tips' of .* connects parts that the cut separates"
+        InputError, match=r"Loop 'tips' of .* connects parts that the cut separates"
     ):
         pinred.release(capture, "rocker")
     ends = (Loop("coupler", "rocker_tip", "3d", "ends"),)

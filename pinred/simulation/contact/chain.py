@@ -8,7 +8,7 @@ lands.  A phase with fewer freedoms is a motion of this system, too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -30,7 +30,7 @@ from ...system.derived_systems import (
 )
 from ...system.state_fields import State, arrays_of
 from ...system.system import System
-from ..impacts import ImpactTable
+from ..impacts import ImpactTable, joined_tables
 from ..recording import Recording
 from ..trajectory import Trajectory
 from .capture import Capture, Release, mass_matrix, moment_of
@@ -157,28 +157,17 @@ def chain(*parts: Any) -> Chain:
 
 def _stop_impacts(whole: System, phases: Sequence[Phase]) -> ImpactTable:
     """Return the impacts at joint stops in all phases, at times of the chain."""
-    columns = {entry.name: list[Any]() for entry in fields(ImpactTable)}
+    tables = list[ImpactTable]()
     for phase in phases:
         for traj, prefix in zip(phase.motions, phase.prefixes, strict=True):
             table = traj.impacts
-            momenta = table.momentum_before, table.momentum_after
+            names = tuple(prefix + joint for joint in table.joint)
+            table = replace(table, t=table.t + phase.start, joint=names)
             if traj.system.group is not whole.group:  # as in the stance of a landing
-                momenta = (np.full((len(table), whole.r), np.nan),) * 2
-            columns["t"] += (table.t + phase.start).tolist()
-            columns["joint"] += [prefix + joint for joint in table.joint]
-            columns["momentum_before"] += list(momenta[0])
-            columns["momentum_after"] += list(momenta[1])
-            for name in ("side", "impulse", "rate_before", "rate_after", "energy_lost"):
-                columns[name] += list(getattr(table, name))
-    order = np.argsort(columns["t"], kind="stable")
-    whole_table = {name: [values[k] for k in order] for name, values in columns.items()}
-    joint, side = tuple(whole_table.pop("joint")), tuple(whole_table.pop("side"))
-    shapes = {"momentum_before": (len(joint), whole.r), "momentum_after": (len(joint), whole.r)}
-    arrays = {
-        name: np.array(values, float).reshape(shapes.get(name, (len(joint),)))
-        for name, values in whole_table.items()
-    }
-    return ImpactTable(joint=joint, side=side, **arrays)
+                unknown = np.full((len(table), whole.r), np.nan)
+                table = replace(table, momentum_before=unknown, momentum_after=unknown)
+            tables.append(table)
+    return joined_tables(tables)
 
 
 def _ordered(
