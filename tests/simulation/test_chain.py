@@ -123,6 +123,19 @@ def test_chain_passes_the_comparison(chain: Chain) -> None:
     assert worst <= 1e-13
 
 
+def test_chain_may_end_with_an_impact(motions: dict[str, Any], chain: Chain) -> None:
+    """The last state is the one after the impact, as in a chain that goes on."""
+    short = pinred.chain(motions["approach"], motions["capture"])
+    first = len(short.t)
+    assert short.t[-1] == np.nextafter(1.0, 2.0) == chain.t[first - 1]
+    for name in ("q", "v", "energy", "spatial_momentum"):
+        values, expected = getattr(short, name), getattr(chain, name)[:first]
+        np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-12)
+    report = pinred.compare(short)
+    assert report
+    assert len(report.impacts) == 1
+
+
 def test_chain_saves_loads_plots_and_plays(chain: Chain, tmp_path: Path) -> None:
     """A file has the recipe of the robot; the robot that it makes has the same mass matrix."""
     chain.save(tmp_path / "chain.npz")
@@ -329,7 +342,10 @@ def rejected_chains(motions: dict[str, Any]) -> dict[str, tuple[Callable[[], obj
     alone = pinred.simulate(rock, xi0=np.ones(6), duration=1.0)
     return {
         "no motion first": (lambda: pinred.chain(capture, together), "a motion before each"),
-        "no motion last": (lambda: pinred.chain(approach, capture), "a motion at the end"),
+        "wrong end": (
+            lambda: pinred.chain([pinred.simulate(traj.scene, duration=0.5) for traj in approach],
+                                 capture), "does not have the state",
+        ),
         "ends": (lambda: pinred.chain([approach[0], longer], capture, together), "end together"),
         "jump": (lambda: pinred.chain(approach, capture, moved), "does not start where"),
         "without impact": (lambda: pinred.chain(approach, together), "does not start where"),
@@ -344,13 +360,13 @@ def rejected_chains(motions: dict[str, Any]) -> dict[str, tuple[Callable[[], obj
         ),
         "slight jump": (lambda: pinred.chain(approach, capture, slightly), "does not start where"),
         "delay": (lambda: pinred.chain([approach[0], later], capture, together), "end together"),
-        "empty": (lambda: pinred.chain(), "a motion at the end"),
+        "empty": (lambda: pinred.chain(), "expected a motion"),
     }  # fmt: skip
 
 
 @pytest.mark.parametrize(
     "case",
-    ["no motion first", "no motion last", "ends", "jump", "without impact", "one of two",
+    ["no motion first", "wrong end", "ends", "jump", "without impact", "one of two",
      "other links", "lacks", "other end", "slight jump", "delay", "empty"],
 )  # fmt: skip
 def test_chain_with_a_gap_is_refused_by_name(case: str, motions: dict[str, Any]) -> None:

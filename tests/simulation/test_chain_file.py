@@ -182,7 +182,13 @@ def test_file_with_a_landing_goes_on_in_stance(
     assert stance.system.group.name == "SO2"
     assert main(["run", str(path), "--compare"]) == 0
     assert "verdict of the chain: PASSED" in capsys.readouterr().out
-    path.write_text(HOPPER.replace('"foot" }', '"foot", contact = "flat" }'), encoding="utf-8")
+    flat = HOPPER.replace('"foot" }', '"foot", contact = "flat" }')
+    path.write_text(flat[: flat.index("[phases.run]")], encoding="utf-8")
+    ended = pinred.simulate_chain(path)
+    assert repr(ended).endswith("s, landing>")
+    assert abs(ended.v[-1]).max() <= 1e-14  # a rigid body stands still
+    assert pinred.compare(ended)
+    path.write_text(flat, encoding="utf-8")
     with pytest.raises(InputError, match=r"line 14: phases\[0\]\.land: no motion keeps a flat"):
         pinred.simulate_chain(path)
 

@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array, is_finite, positive
+from ...common.arrays import Array, positive
 from ...common.errors import InputError
 from ...common.names import quoted
 from ...reduction.inertia_split import mass_matrix_at
@@ -233,7 +233,7 @@ def moment_of(value: Moment, what: str) -> tuple[System, Instant]:
     Returns:
         The system and its state.
     Raises:
-        InputError: The value is of another type, or the state is not finite.
+        InputError: The value is of another type.
     """
     if isinstance(value, System):
         value = scene_of(checked_system(value, what, loops=True), {})
@@ -252,8 +252,6 @@ def moment_of(value: Moment, what: str) -> tuple[System, Instant]:
             f"{what}: expected a Trajectory, Recording, Scene, System, Capture, Landing or a part "
             f"of a Release, got {type(value).__name__}"
         )
-    if not all(is_finite(column) for column in vars(state).values()):
-        raise InputError(f"{what}: the state of '{system.name}' is not finite")
     return system, state
 
 

@@ -21,7 +21,7 @@ from ..simulate import simulate
 from ..trajectory import Trajectory
 from .capture import capture, moment_of, options_of, release
 from .chain import Chain, Impact, chain
-from .landing import land
+from .landing import Landing, land
 
 
 @checks_arguments
@@ -90,6 +90,10 @@ def run_phases(
             parts = [moving := approach(_aligned(file.second, phase, moving))]
         impact, states = _after(phase, moving)
         parts += [] if impact is None else [impact]
+        if isinstance(impact, Landing) and not states:
+            if number + 1 < len(file.phases) or "run" in phase.document:
+                (phase.place / "land").fail(impact.why_no_stance)
+            break
         moving = play(*(
             phase.scene_file(system, start, second=k > 0)
             for k, (system, start) in enumerate(states)
@@ -106,6 +110,8 @@ def _after(
     Args:
         phase: The phase.
         moving: Motions of the phase before it.
+    Returns:
+        The impact, or None; and the robots, none after a landing that leaves no symmetry.
     Raises:
         InputError: The impact is not possible.
     """
@@ -128,9 +134,8 @@ def _after(
             parts = release(moving[0], **options)
             return parts, [(p.system, p.start) for p in (parts.carrier, parts.released)]
         landing = land(moving[0], **options)
-        if landing.stance is None:
-            raise InputError(landing.why_no_stance)
-        return landing, [(landing.stance.system, landing.stance.start)]
+        stance = landing.stance
+        return landing, [] if stance is None else [(stance.system, stance.start)]
 
 
 def _aligned(second: SceneFile, phase: LaterPhase, moving: Sequence[Trajectory]) -> SceneFile:
