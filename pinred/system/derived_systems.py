@@ -117,16 +117,29 @@ def same_motions(a: System, b: System) -> str:
 
 def free_prefix(a: System, b: System) -> str:
     """Return a prefix that makes the names in b differ from those in a; "" if they differ."""
+    prefix, number = "", 1
+    while _shared_names(a, b, prefix):
+        prefix = f"{b.name}_" if number == 1 else f"{b.name}{number}_"
+        number += 1
+    return prefix
+
+
+def _shared_names(a: System, b: System, prefix: str) -> set[str]:
+    """Return the names of links, joints, frames and loops that are in a, and with a prefix in b."""
     taken, names = (
         names_in(take_apart(s)) | {loop.name for loop in (*s.loops, *s.contents.coupled_loops)}
         for s in (a, b)
     )
-    names -= {b.root_name}
-    prefix, number = "", 1
-    while taken & {prefix + name for name in names}:
-        prefix = f"{b.name}_" if number == 1 else f"{b.name}{number}_"
-        number += 1
-    return prefix
+    return taken & {prefix + name for name in names - {b.root_name}}
+
+
+def _check_names(a: System, b: System, prefix: str) -> None:
+    """Raise InputError if a name would occur twice."""
+    if shared := _shared_names(a, b, prefix):
+        raise InputError(
+            f"prefix: with {quoted(prefix)}, '{a.name}' and '{b.name}' both have "
+            f"{listed(sorted(shared), 6)}. Choose another prefix, or leave it out"
+        )
 
 
 def both_doubts(a: System, b: System) -> tuple[str, ...]:
@@ -154,13 +167,14 @@ def join(
         prefix: Text before the names of links, joints and frames of the second.
         name: Name of the result; those of both by default.
     Raises:
-        InputError: A frame is unknown, the groups or gravity differ, or a joint moves the other
-            robot out of the group.
+        InputError: A frame is unknown, the groups or gravity differ, a name would occur twice, or a
+            joint moves the other robot out of the group.
     """
     placement = vector(offset, 7, "offset")
     first, second = place_of(a, at, "at"), place_of(b, onto, "onto")
     if reason := same_motions(a, b):
         raise InputError(f"join: {reason}")
+    _check_names(a, b, prefix)
     A, B = take_apart(a), renamed(take_apart(b), prefix)
     for system, assembly, link in ((a, A, first.link), (b, B, prefix + second.link)):
         if outside := leaves_group(assembly, twists_of(system), assembly.path(link)):
@@ -200,10 +214,11 @@ def pair(a: System, b: System, *, prefix: str, name: str = "") -> System:
         prefix: Text before the names of the second.
         name: Name of the result.
     Raises:
-        InputError: The groups or gravity differ.
+        InputError: The groups or gravity differ, or a name would occur twice.
     """
     if reason := same_motions(a, b):
         raise InputError(f"pair: {reason}")
+    _check_names(a, b, prefix)
     A, B, group = take_apart(a), renamed(take_apart(b), prefix), a.group
     axes, links, edges = axes_of(A.root.joint), dict[str, Link](), list[Edge]()
     turns = [""] * (group.turns > 0)

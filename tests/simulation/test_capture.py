@@ -318,6 +318,7 @@ def rejected_captures() -> dict[str, tuple[Callable[[], object], str]]:
     heavy, flat_start = start_at(pinred.load(rock)), start_at(flat)
     again = start_at(own.system)
     wrong: Any = "rock"
+    named = start_at(chaser(), xi0=np.ones(6))
 
     def take(second: Any = there, at: str = "tool", onto: str = "rock", **more: Any) -> Any:
         return lambda: pinred.capture(own, second, at=at, onto=onto, **more)
@@ -333,6 +334,7 @@ def rejected_captures() -> dict[str, tuple[Callable[[], object], str]]:
         "same state": (take(again, onto="bus"), "same one twice"),
         "tolerance": (take(tolerance=np.nan), "tolerance"),
         "kind": (take(wrong), "b: expected"),
+        "prefix": (take(named, onto="tool", prefix=""), "prefix: with '', .* both have arm"),
         "release of the root": (lambda: pinred.release(own, "bus"), "is the root"),
         "release of a frame": (lambda: pinred.release(own, "nothing"), "no link 'nothing'"),
         "release to another root": (

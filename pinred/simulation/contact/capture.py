@@ -166,8 +166,8 @@ def capture(
     Returns:
         The joined system with its state, the impulse, and the balances.
     Raises:
-        InputError: A frame is unknown, the frames do not coincide, the groups or gravity differ, or
-            both are the same robot.
+        InputError: A frame is unknown, the frames do not coincide, the groups or gravity differ, a
+            name would occur twice, or both are the same robot.
         UnsupportedOperationError: A force acts at a ball that changes its direction, or a loop ends
             at the frame of a joint that does.
     """
