@@ -392,6 +392,25 @@ def test_robot_with_a_loop_captures_and_is_captured_alike() -> None:
         assert closed == pytest.approx(expected, rel=1e-13)
 
 
+def test_captured_robot_starts_its_loops_at_the_known_closed_shape() -> None:
+    """Balls that turn over have the inverse attitude; all other joints have the same values."""
+    turned = 0
+    for seed in range(4):
+        pair = make_pair("loops", seed)
+        capture = pinred.capture(pair.a, pair.b, at="tip", onto="tip")
+        known, joined = pair.b.system, capture.system
+        assert known.closure is not None
+        assert joined.closure is not None
+        slots = {joint.name: joint.x for joint in joined.space.joints}
+        for joint in known.space.joints:
+            expected = known.closure.x[joint.x]
+            found = joined.closure.x[slots[capture.prefix + joint.name]]
+            if joint.kind.is_ball and np.abs(found - expected).max() > 1e-6:
+                expected, turned = expected * [-1.0, -1.0, -1.0, 1.0], turned + 1
+            np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert turned
+
+
 def test_release_keeps_a_loop_whole() -> None:
     """The robot keeps its loop; a cut through it, and an end that turns over, are refused."""
     capture = looped_capture()
