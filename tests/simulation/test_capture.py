@@ -212,7 +212,7 @@ def frame_of_link(system: pinred.System, pose: Array, x: Array, name: str) -> pi
 @pytest.mark.parametrize("kind", KINDS)
 def test_release_after_capture_gives_back_both_robots(kind: str) -> None:
     """Mass matrices and poses are those before; links move as those of the joined robot."""
-    for seed in range(3):
+    for seed in range(1 if kind == "loops" else 3):
         pair = make_pair(kind, 100 + seed)
         capture = pinred.capture(pair.a, pair.b, at="tip", onto="tip")
         joint = f"tip+{capture.prefix}tip"
