@@ -13,7 +13,7 @@ from trees import placement, random_model
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.system.loops.loop import Loop
+from pinred.system.loops.loop import Loop, LoopKind
 from pinred.system.robot_file_contents import Contents
 from pinred.system.system import System
 
@@ -77,8 +77,8 @@ def random_robot(kind: str, seed: int, rng: np.random.Generator) -> System:
     if kind == "followers":
         return framed(make_case("SE3", joints + 2, seed).system, rng)
     if kind == "loops":
-        loop = ("3d", "6d", "z")[seed % 3]
-        model, loops = random_loops(seed, (loop,), 4, balls=seed % 2 > 0)
+        loop_kinds: tuple[LoopKind, ...] = ("3d", "6d", "z")
+        model, loops = random_loops(seed, (loop_kinds[seed % 3],), 4, balls=seed % 2 > 0)
         return framed(System(model, model.name, contents=Contents(loops=tuple(loops))), rng)
     if kind == "flat":
         return framed(flat_tree(seed, joints), rng, flat=True)

@@ -80,7 +80,7 @@ def by_hand(folder: Path) -> Chain:
     )
     stops: Any = {"arm": pinred.Stop(-0.3, 0.4, restitution=0.5)}
     first = pinred.simulate(chaser, x0={"arm": 0.1}, xdot0={"arm": 0.7}, duration=1.0, stops=stops)
-    start = {"pose0": [0.1, 0.2, 0.3, 0, 0, 0, 1], "xi0": [0, -0.2, 0, 0.3, 0.2, 0]}
+    start: dict[str, Any] = {"pose0": [0.1, 0.2, 0.3, 0, 0, 0, 1], "xi0": [0, -0.2, 0, 0.3, 0.2, 0]}
     trial = pinred.simulate(rock, **start, duration=1.0)
     grip, link = (frame_at_end(*each) for each in ((first, "grip"), (trial, "rock")))
     pose = pin.SE3ToXYZQUAT(grip * link.inverse() * pin.XYZQUATToSE3(np.array(start["pose0"])))
