@@ -120,6 +120,7 @@ from .simulation.contact.capture import capture as capture
 from .simulation.contact.capture import release as release
 from .simulation.contact.chain import Chain as Chain
 from .simulation.contact.chain import chain as chain
+from .simulation.contact.chain_file import simulate_chain as simulate_chain
 from .simulation.contact.landing import Landing as Landing
 from .simulation.contact.landing import Stance as Stance
 from .simulation.contact.landing import land as land

@@ -117,6 +117,10 @@ def motion_in(path: str, robot: str | None) -> MotionSource:
     from ..simulation.simulate import simulate
 
     file = read_scene_file(path)
+    if file.phases:
+        from ..simulation.contact.chain_file import run_phases
+
+        return run_phases(file, progress=True)
     return simulate(file.scene, engine=file.engine, check=file.check, progress=True)
 
 

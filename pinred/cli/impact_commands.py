@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from ..scene.toml.schema import Key
     from ..simulation.contact.capture import Capture, Release
     from ..simulation.contact.landing import Landing
-    from ..simulation.trajectory import Trajectory
     from ..system.system import System
     from ..views.motion_source import MotionSource
 
@@ -98,7 +97,7 @@ def _add_after(sub: argparse.ArgumentParser) -> None:
     add_options(sub, _keys())
     add = option_adder(sub)
     add("--compare", "compare all motions with full ABA, and the impact with full mass matrices")
-    add("--out FILE", "write the motions before and after it as one (.npz, .csv)")
+    add("--out FILE", "write the motions and the impact as one motion (.npz, .csv)")
 
 
 def _keys() -> dict[str, Key]:
@@ -114,7 +113,7 @@ def _check_after(arguments: argparse.Namespace) -> None:
     options = options_in(arguments, _keys())
     if arguments.out is not None:
         check_path(Path(arguments.out), DATA)
-    if "duration" not in options and (options or arguments.compare or arguments.out is not None):
+    if "duration" not in options and options:
         raise InputError("pass --duration T to simulate the motion after the impact")
 
 
@@ -132,7 +131,7 @@ def _follow(
     impact: Capture | Release | Landing,
     states: Sequence[tuple[System, dict[str, Any]]],
 ) -> int:
-    """Print an impact, and simulate, write and compare what follows.
+    """Print an impact, simulate what follows, if requested, and write and compare all of it.
 
     Args:
         arguments: Parsed arguments of the command.
@@ -142,7 +141,7 @@ def _follow(
     Returns:
         0, or the exit code of the comparison.
     Raises:
-        InputError: The motions before it are recordings, but one after it is requested.
+        InputError: The motions before it are recordings, but more than the impact is requested.
     """
     from ..simulation.contact.chain import chain
     from ..simulation.simulate import simulate
@@ -150,15 +149,19 @@ def _follow(
 
     print(impact)
     options = options_in(arguments, _keys())
-    if "duration" not in options:
+    if "duration" not in options and arguments.out is None and not arguments.compare:
         return 0
     earlier = [motion for motion in before if isinstance(motion, Trajectory)]
     if len(earlier) < len(before):
-        raise InputError("a motion after the impact needs scene files (.toml), not recordings")
-    after: list[Trajectory] = [
-        simulate(system, **start, **options, progress=True) for system, start in states
+        raise InputError(
+            "--duration, --out and --compare need scene files (.toml) of one motion, not "
+            "recordings; state further phases in the file, as tables [[phases]] (docs/scenes.md)"
+        )
+    after = [
+        simulate(system, **start, **options, progress=True)
+        for system, start in (states if "duration" in options else ())
     ]
-    whole = chain(earlier, impact, after)
+    whole = chain(earlier, impact, *([after] if after else []))
     if arguments.out is not None:
         path = Path(arguments.out)
         whole.save(path)

@@ -53,6 +53,8 @@ def add_bench_arguments(sub: argparse.ArgumentParser) -> None:
     add("first", "first calls with empty caches: shipped code, and compilation", "calls", "all")
     add("films", "time of a film's frame, compared with a screenshot", "robots", "four")
     add("loops", "gaps of closed loops in MuJoCo, whose constraints are soft, and in pinred")
+    text = "joint stops of MuJoCo, which are soft, of Drake's discrete solver, and of pinred"
+    add("stops", text)
     text = "trajectories per second of a batch, also with other tools"
     add_members(add("many", text, "scenes", "five"), 512)
     text = "the chosen method, compared with the fastest one that is at least as accurate"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -30,6 +30,9 @@ from .command_options import (
 
 if TYPE_CHECKING:
     from ..scene.scene import Scene
+    from ..scene.toml.reader import SceneFile
+    from ..simulation.contact.chain import Chain
+    from ..simulation.plan import Plan
     from ..simulation.trajectory import Trajectory
     from ..sweeps.sweep_result import SweepResult
 
@@ -53,7 +56,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
     return print_comparison(traj, arguments.budget)
 
 
-def print_comparison(traj: Trajectory, budget: float | None = None) -> int:
+def print_comparison(traj: Trajectory | Chain, budget: float | None = None) -> int:
     """Print the comparison of a motion with full ABA.  Returns 0, 1 or 3, as `run` does."""
     from ..judge.compare import compare
 
@@ -98,6 +101,8 @@ def run_run(arguments: argparse.Namespace) -> int:
     from ..simulation.trajectory_files import FOLDERS, SUFFIXES
 
     file = read_scene_file(arguments.scene)
+    if file.phases:
+        return _run_phases(arguments, file)
     scene = file.scene
     if parameters := parameters_in(arguments.parameters):
         scene = as_scene(scene, {"parameters": parameters}, "run")
@@ -123,6 +128,50 @@ def run_run(arguments: argparse.Namespace) -> int:
         traj.save(path)
         print(f"  {describe_file(path)}")
     return print_comparison(traj) if arguments.compare else 0
+
+
+def _run_phases(arguments: argparse.Namespace, file: SceneFile) -> int:
+    """Run a file with several phases.  Returns 0, or 1 or 3 if a comparison does not pass."""
+    from ..common.files import check_path
+    from ..simulation.contact.chain_file import run_phases
+    from ..simulation.explain import explain
+    from ..simulation.plan import plan_of
+    from ..simulation.trajectory_files import FOLDERS, SUFFIXES
+
+    for name in ("parameters", "checkpoint"):
+        if getattr(arguments, name):
+            raise InputError(f"--{name}: a file with several phases does not support it")
+    scenes = [one.scene for one in (file, file.second) if one is not None]
+    for scene in scenes:
+        plan_of(scene)  # This verifies that they can be simulated.
+    if arguments.validate:
+        robots = " and ".join(scene.system.name for scene in scenes)
+        print(f"ok: {robots}, {len(file.phases) + 1} phases; later robots are known when they run")
+        return 0
+    path = None if arguments.out is None else check_path(arguments.out, SUFFIXES, folders=FOLDERS)
+    chain = run_phases(file, engine=arguments.engine, check=bool(arguments.check), progress=True)
+    print(summary_of_chain(chain, explain if arguments.explain else None))
+    if path is not None:
+        chain.save(path)
+        print(describe_file(path))
+    return print_comparison(chain) if arguments.compare else 0
+
+
+def summary_of_chain(chain: Chain, explain: Callable[[Plan], object] | None = None) -> str:
+    """Return the results of all motions of a chain, and its impacts.
+
+    Args:
+        chain: The chain.
+        explain: Function that explains the plan of a motion; None to leave it out.
+    """
+    lines = list[str]()
+    for number, phase in enumerate(chain.phases):
+        for traj in phase.motions:
+            lines += [] if explain is None else [str(explain(traj.plan))]
+            lines.append(summary_of_run(traj))
+        if number < len(chain.between) and (impact := chain.between[number]) is not None:
+            lines.append(f"at t = {phase.end:g} s: {impact}")
+    return "\n".join(lines)
 
 
 def summary_of_run(traj: Trajectory) -> str:
@@ -257,13 +306,14 @@ def run_sweep(arguments: argparse.Namespace) -> int:
     """Run the command.  Returns 0."""
     from ..scene.scene_options import SWEEP_OPTIONS
     from ..scene.toml.file_place import naming
-    from ..scene.toml.reader import read_scene_file
+    from ..scene.toml.reader import read_scene_file, refuse_phases
     from ..simulation.simulate import as_scene
     from ..sweeps.sweep import sweep
     from ..system.body_parameters import refuse_vague
     from ..system.system import nominal
 
     file = read_scene_file(arguments.scene)
+    refuse_phases(file)
     scene = file.scene
     if parameters := parameters_in(arguments.parameters):
         scene = as_scene(scene, {"parameters": parameters}, "sweep")

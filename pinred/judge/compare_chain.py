@@ -6,8 +6,9 @@ CRBA, the Jacobians of the frames in the files, and one linear system for veloci
     [ H  Cᵀ ] [ v⁺ ]   [ H v⁻ ]
     [ C  0  ] [ −λ ] = [  0   ],
 
-where the rows C say that the frames move alike, or stand still, and that followers follow.  It
-knows neither the joined robot nor the stance robot; their links are compared with the result.
+where the rows C say that the frames move alike, or stand still, that followers follow, and that
+loops stay closed.  It knows neither the joined robot nor the stance robot; their links are
+compared with the result.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ from ..simulation.contact.capture import Capture, Release
 from ..simulation.contact.chain import Chain, Impact
 from ..simulation.contact.landing import Landing
 from ..system.derived_systems import Instant
+from ..system.loops.kinematics import LoopKinematics
 from ..system.system import System
+from .loop_errors import RANK
 from .verdict import Report, Verdict, table_of
 
 IMPACT_BOUND = 1e-11  # largest passing difference across an impact, relative to size and speed
@@ -127,7 +130,7 @@ class _Body:
         self.q = system.sorted_q(state.pose, state.x)
         self.v = system.sorted_v(state.xi, state.xdot)
         self.H = symmetric(np.array(pin.crba(model, data, self.q)))
-        self.followers = _follower_rows(system)
+        self.constraints = np.vstack([_follower_rows(system), _loop_rows(system, self.q)])
         pin.computeJointJacobians(model, data, self.q)
         pin.updateFramePlacements(model, data)
 
@@ -175,6 +178,15 @@ def _follower_rows(system: System) -> Array:
     return rows
 
 
+def _loop_rows(system: System, q: Array) -> Array:
+    """Return independent rows that vanish on velocities at which all loops stay closed, (k, nv)."""
+    if not system.loops:
+        return np.empty((0, system.sorted_model.nv))
+    J = LoopKinematics(system.sorted_model, system.loops).jacobian(q)
+    _, sizes, rows = np.linalg.svd(J, full_matrices=False)
+    return np.asarray(rows[sizes > RANK * sizes[0]])
+
+
 def _solve(H: Array, C: Array, v: Array) -> tuple[Array, Array]:
     """Return velocities after an impact that makes C v vanish, and the multipliers λ.
 
@@ -212,10 +224,10 @@ def _capture(capture: Capture) -> dict[str, float]:
     carried = np.eye(6)
     carried[:3, 3:] = -pin.skew(apart)
     meeting = np.hstack([carried @ a.rows(capture.at), -b.rows(capture.onto)])
-    followers = np.zeros((len(a.followers) + len(b.followers), len(v)))
-    followers[: len(a.followers), :na] = a.followers
-    followers[len(a.followers) :, na:] = b.followers
-    after, multipliers = _solve(H, np.vstack([meeting, followers]), v)
+    k = len(a.constraints)
+    inner = np.zeros((k + len(b.constraints), len(v)))
+    inner[:k, :na], inner[k:, na:] = a.constraints, b.constraints
+    after, multipliers = _solve(H, np.vstack([meeting, inner]), v)
     joined = _Body(capture.system, capture.instant)
     links = a.twists(after[:na]) | {prefix + n: w for n, w in b.twists(after[na:]).items()}
     impulse = carried.T @ multipliers[:6]
@@ -263,7 +275,7 @@ def _landing(landing: Landing) -> dict[str, float]:
     body = _Body(landing.system, landing.before)
     rows = 3 if landing.contact == "point" else 6
     stopped = np.vstack([body.rows(frame)[:rows] for frame in landing.frames])
-    after, multipliers = _solve(body.H, np.vstack([stopped, body.followers]), body.v)
+    after, multipliers = _solve(body.H, np.vstack([stopped, body.constraints]), body.v)
     landed = _Body(landing.system, landing.instant)
     found, expected = landed.twists(landed.v), body.twists(after)
     energy, size = body.energy(body.v), float(np.abs(body.momentum(body.v)).max())

@@ -119,8 +119,10 @@ def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
         The balance at the times of the states.
     """
     forces, impacts = plan.forces, motion.impacts
-    if impacts is not None:  # a report time at an impact has the state before it
-        lost = np.append(0.0, np.cumsum(impacts.energy_lost))
+    if impacts is not None:
+        # A report time at an impact has the state before it; that at the start, the one after it.
+        later = impacts.energy_lost * (impacts.t > 0.0)
+        lost = np.append(0.0, np.cumsum(later))
         stopped = -lost[np.searchsorted(impacts.t, states.t, side="left")][:, None]
     else:
         stopped = np.zeros((len(states.t), 0))

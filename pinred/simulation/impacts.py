@@ -262,6 +262,16 @@ def table_in(content: Mapping[str, Any], r: int) -> ImpactTable:
     return ImpactTable(**columns)
 
 
+def joined_tables(tables: Sequence[ImpactTable]) -> ImpactTable:
+    """Return the rows of tables with equal momentum components together, in order of time."""
+    order = np.argsort(np.concatenate([table.t for table in tables]), kind="stable")
+    columns = dict[str, Any]()
+    for name in ImpactTable.__dataclass_fields__:
+        values = np.concatenate([np.asarray(getattr(table, name)) for table in tables])[order]
+        columns[name] = tuple(values.tolist()) if name in ("joint", "side") else values
+    return ImpactTable(**columns)
+
+
 def no_impacts(r: int) -> ImpactTable:
     """Return an empty table for a system with r momentum components."""
     return table_of([], np.empty((0, 2, r)))

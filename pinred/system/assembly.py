@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -22,8 +22,10 @@ from ..lie.rotations import apply, conjugate, rotation
 from .body_parameters import link_inertias, moments_of
 from .force_interface import Force
 from .joints import axes_of, is_ball, root_joint
+from .loops.kinematics import find_frame
+from .loops.loop import Constraint, Loop
 from .rebuild import ModelBuilder
-from .robot_file_contents import Contents, Derivation, LeftOut, Origin
+from .robot_file_contents import Actuator, Contents, Coupling, Derivation, LeftOut, Origin
 from .system import System
 
 _FIXED_FRAMES = (pin.FrameType.FIXED_JOINT, pin.FrameType.JOINT)
@@ -391,45 +393,56 @@ def to_system(assembly: Assembly, name: str, contents: Contents, derivation: Der
     )  # fmt: skip
 
 
-def contents_of(system: System, joints: Collection[str] | None = None) -> Contents:
+# Entries of the contents of a file that name joints or frames, and their fields that do.
+_ENTRIES = ("passive", "actuators", "couplings", "loops", "coupled_loops")
+_ENDS = ("joint", "to", "follower", "leader", "frame_a", "frame_b")
+_Entry: TypeAlias = Force | Actuator | Coupling | Constraint
+
+
+def _ends(entry: _Entry) -> dict[str, str]:
+    """Return the joints or frames that an entry names, by field."""
+    values = {name: getattr(entry, name, None) for name in _ENDS}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def contents_of(
+    system: System, joints: Collection[str] | None = None, links: Collection[str] = ()
+) -> Contents:
     """Return the contents of a file that a changed tree keeps.
 
     Args:
         system: The robot.
-        joints: Names of the joints that the tree keeps; None for all.
+        joints: Names of the joints that the tree keeps; None for the whole tree.
+        links: Names of the links that it keeps, if not the whole tree.
     Raises:
-        InputError: A coupling, spring, damper or actuator connects a joint with one that is not
-            kept.
+        InputError: A coupling, spring, damper or loop connects a joint or link with one that is
+            not kept.
     """
     contents = system.contents
-    kept = {str(name) for name in system.sorted_model.names[1:]} if joints is None else {*joints}
 
-    def belongs(ends: Sequence[str | None], what: str) -> bool:
-        inside = [end for end in ends if end is not None and _joint_in(end, kept)]
-        if inside and len(inside) < sum(end is not None for end in ends):
-            names = listed([str(end) for end in ends], 6)
+    def stays(entry: _Entry) -> bool:
+        if joints is None:
+            return True
+        ends = [*_ends(entry).values(), *getattr(entry, "ratios", ())]
+        if isinstance(entry, Loop):
+            model, owners = system.sorted_model, take_apart(system).owners
+            kept = [owners[find_frame(model, end)] in links for end in ends]
+        else:
+            kept = [_joint_in(end, joints) for end in ends]
+        if any(kept) and not all(kept):
+            name = f" {quoted(entry.name)}" if hasattr(entry, "name") else ""
             raise InputError(
-                f"{what} of '{system.name}' connects joints that the cut separates: {names}. Load "
-                "the robot without it, or cut elsewhere"
+                f"{type(entry).__name__}{name} of '{system.name}' connects parts that the cut "
+                f"separates: {listed(ends, 6)}. Load the robot without it, or cut elsewhere"
             )
-        return bool(inside)
+        return all(kept)
 
-    return Contents(
-        left_out=contents.left_out if joints is None else (),
-        passive=tuple(
-            force for force in contents.passive
-            if belongs((_end(force, "joint"), _end(force, "to")), "a spring or damper")
-        ),
-        actuators=tuple(a for a in contents.actuators if not a.on_base and a.joint in kept),
-        couplings=tuple(
-            c for c in contents.couplings if belongs((c.follower, *c.leaders), "a coupling")
-        ),
-        warnings=contents.warnings,
-    )  # fmt: skip
-
-
-def _end(force: Force, name: str) -> str | None:
-    return getattr(force, name, None)
+    entries: dict[str, Any] = {
+        kind: tuple(filter(stays, getattr(contents, kind))) for kind in _ENTRIES
+    }
+    entries["actuators"] = tuple(a for a in entries["actuators"] if not a.on_base)
+    left_out = contents.left_out if joints is None else ()
+    return Contents(left_out=left_out, warnings=contents.warnings, **entries)
 
 
 def _joint_in(label: str, joints: Collection[str]) -> bool:
@@ -456,36 +469,24 @@ def renamed(assembly: Assembly, prefix: str) -> Assembly:
 
 
 def renamed_contents(contents: Contents, prefix: str) -> Contents:
-    """Return contents of a file for joints whose names have a prefix."""
-    if not prefix:
-        return contents
+    """Return contents of a file for joints, links and frames whose names have a prefix."""
 
-    def force(entry: Force) -> Force:
-        ends: Any = {
-            name: prefix + value
-            for name in ("joint", "to")
-            if (value := _end(entry, name)) is not None
-        }
-        return replace(entry, **ends)  # type: ignore[type-var]
+    def renamed_entry(entry: _Entry) -> _Entry:
+        names: dict[str, Any] = {end: prefix + name for end, name in _ends(entry).items()}
+        if hasattr(entry, "name"):
+            names["name"] = prefix + entry.name
+        if isinstance(entry, Coupling):
+            names["ratios"] = {prefix + name: ratio for name, ratio in entry.ratios.items()}
+        return replace(entry, **names)  # type: ignore[type-var]
 
-    return replace(
-        contents,
-        left_out=tuple(
-            replace(left, names=tuple(prefix + name for name in left.names))
-            for left in contents.left_out
-        ),
-        passive=tuple(map(force, contents.passive)),
-        actuators=tuple(
-            replace(a, name=prefix + a.name, joint=prefix + a.joint) for a in contents.actuators
-        ),
-        couplings=tuple(
-            replace(
-                c, follower=prefix + c.follower,
-                ratios={prefix + name: ratio for name, ratio in c.ratios.items()},
-            )
-            for c in contents.couplings
-        ),
-    )  # fmt: skip
+    left_out = tuple(
+        replace(left, names=tuple(prefix + name for name in left.names))
+        for left in contents.left_out
+    )
+    entries: dict[str, Any] = {
+        kind: tuple(map(renamed_entry, getattr(contents, kind))) for kind in _ENTRIES
+    }
+    return replace(contents, left_out=left_out, **entries)
 
 
 def both_contents(a: Contents, b: Contents) -> Contents:
@@ -494,12 +495,11 @@ def both_contents(a: Contents, b: Contents) -> Contents:
     for left in (*a.left_out, *b.left_out):
         key = left.what, left.demanded
         names[key] = (*names.get(key, ()), *left.names)
+    entries: dict[str, Any] = {kind: (*getattr(a, kind), *getattr(b, kind)) for kind in _ENTRIES}
     return Contents(
         left_out=tuple(LeftOut(what, n, demanded) for (what, demanded), n in names.items()),
-        passive=(*a.passive, *b.passive),
-        actuators=(*a.actuators, *b.actuators),
-        couplings=(*a.couplings, *b.couplings),
         warnings=tuple(dict.fromkeys((*a.warnings, *b.warnings))),
+        **entries,
     )
 
 
@@ -540,19 +540,37 @@ def leaves_group(assembly: Assembly, twists: Array, path: Sequence[Edge]) -> str
 
 def reversed_balls(old: Assembly, new: Assembly) -> set[str]:
     """Return the balls of an assembly that another one has in the other direction."""
-    above = {edge.name: edge.above for edge in old.directed() if _is_ball_edge(edge)}
-    return {e.name for e in new.directed() if e.name in above and above[e.name] != e.above}
+    return {e.name for e in _reversed_joints(old, new) if is_ball(e.joint)}
 
 
-def _is_ball_edge(edge: Edge) -> bool:
-    return edge.joint is not None and is_ball(edge.joint)
+def _reversed_joints(old: Assembly, new: Assembly) -> list[Edge]:
+    above = {edge.name: edge.above for edge in old.directed() if edge.joint is not None}
+    return [e for e in new.directed() if e.name in above and above[e.name] != e.above]
 
 
-def refuse_forced_balls(contents: Contents, balls: Collection[str], what: str) -> None:
-    """Reject forces at balls whose direction changes.  Raises UnsupportedOperationError."""
-    ends = [_end(force, end) for force in contents.passive for end in ("joint", "to")]
-    for name in balls:
-        labels = [end for end in (*ends, *(a.joint for a in contents.actuators)) if end is not None]
+def refuse_reversed(contents: Contents, old: Assembly, new: Assembly, what: str) -> None:
+    """Reject joints whose direction changes, where it matters: forced balls, and ends of loops.
+
+    Args:
+        contents: Contents of the files.
+        old: Assembly before the change.
+        new: Assembly after it.
+        what: Name of the caller in messages.
+    Raises:
+        UnsupportedOperationError: A force acts at a reversed ball, or a loop ends at the frame of
+            a reversed joint, which would move with another link.
+    """
+    links = {name for name in names_in(old) if name not in {e.name for e in old.edges}}
+    turned = {edge.name for edge in _reversed_joints(old, new)} - links
+    for loop in contents.loops:
+        if isinstance(loop, Loop) and (at := turned & {loop.frame_a, loop.frame_b}):
+            raise UnsupportedOperationError(
+                f"{what}: loop {quoted(loop.name)} ends at joint {quoted(min(at))}, which "
+                "changes its direction. State a link or frame as the end of the loop"
+            )
+    forces: tuple[_Entry, ...] = (*contents.passive, *contents.actuators)
+    labels = [label for force in forces for label in _ends(force).values()]
+    for name in reversed_balls(old, new):
         if any(_joint_in(label, {name}) for label in labels):
             raise UnsupportedOperationError(
                 f"{what}: ball {quoted(name)} changes its direction, and a spring, damper or "

@@ -18,6 +18,7 @@ from ..common.arrays import Array, vector
 from ..common.errors import InputError
 from ..common.names import listed, nearest, quoted
 from ..lie.groups import SO2, SO3
+from ..lie.rotations import conjugate
 from .assembly import (
     Assembly,
     Edge,
@@ -29,7 +30,7 @@ from .assembly import (
     link_frame,
     names_in,
     new_root,
-    refuse_forced_balls,
+    refuse_reversed,
     renamed,
     renamed_contents,
     reversed_ball,
@@ -116,12 +117,29 @@ def same_motions(a: System, b: System) -> str:
 
 def free_prefix(a: System, b: System) -> str:
     """Return a prefix that makes the names in b differ from those in a; "" if they differ."""
-    taken, names = names_in(take_apart(a)), names_in(take_apart(b)) - {b.root_name}
     prefix, number = "", 1
-    while taken & {prefix + name for name in names}:
+    while _shared_names(a, b, prefix):
         prefix = f"{b.name}_" if number == 1 else f"{b.name}{number}_"
         number += 1
     return prefix
+
+
+def _shared_names(a: System, b: System, prefix: str) -> set[str]:
+    """Return the names of links, joints, frames and loops that are in a, and with a prefix in b."""
+    taken, names = (
+        names_in(take_apart(s)) | {loop.name for loop in (*s.loops, *s.contents.coupled_loops)}
+        for s in (a, b)
+    )
+    return taken & {prefix + name for name in names - {b.root_name}}
+
+
+def _check_names(a: System, b: System, prefix: str) -> None:
+    """Raise InputError if a name would occur twice."""
+    if shared := _shared_names(a, b, prefix):
+        raise InputError(
+            f"prefix: with {quoted(prefix)}, '{a.name}' and '{b.name}' both have "
+            f"{listed(sorted(shared), 6)}. Choose another prefix, or leave it out"
+        )
 
 
 def both_doubts(a: System, b: System) -> tuple[str, ...]:
@@ -149,13 +167,14 @@ def join(
         prefix: Text before the names of links, joints and frames of the second.
         name: Name of the result; those of both by default.
     Raises:
-        InputError: A frame is unknown, the groups or gravity differ, or a joint moves the other
-            robot out of the group.
+        InputError: A frame is unknown, the groups or gravity differ, a name would occur twice, or a
+            joint moves the other robot out of the group.
     """
     placement = vector(offset, 7, "offset")
     first, second = place_of(a, at, "at"), place_of(b, onto, "onto")
     if reason := same_motions(a, b):
         raise InputError(f"join: {reason}")
+    _check_names(a, b, prefix)
     A, B = take_apart(a), renamed(take_apart(b), prefix)
     for system, assembly, link in ((a, A, first.link), (b, B, prefix + second.link)):
         if outside := leaves_group(assembly, twists_of(system), assembly.path(link)):
@@ -170,13 +189,16 @@ def join(
     root = replace(A.root, armature=A.root.armature + B.root.armature)
     joined = Assembly({**A.links, **B.links}, (*A.edges, edge, *B.edges), root, a.gravity)
     second_contents = renamed_contents(contents_of(b), prefix)
-    refuse_forced_balls(second_contents, reversed_balls(B, joined), "join")
+    refuse_reversed(second_contents, B, joined, "join")
     arguments = {
         "at": at, "onto": onto, "offset": placement.tolist(), "prefix": prefix, "name": name,
     }  # fmt: skip
     return to_system(
         joined, name or f"{a.name}+{b.name}", both_contents(contents_of(a), second_contents),
-        Derivation("join", (a, b), arguments, both_doubts(a, b)),
+        Derivation(
+            "join", (a, b), arguments, both_doubts(a, b),
+            _closed(a, A, A) | _closed(b, B, joined, prefix),
+        ),
     )  # fmt: skip
 
 
@@ -192,10 +214,11 @@ def pair(a: System, b: System, *, prefix: str, name: str = "") -> System:
         prefix: Text before the names of the second.
         name: Name of the result.
     Raises:
-        InputError: The groups or gravity differ.
+        InputError: The groups or gravity differ, or a name would occur twice.
     """
     if reason := same_motions(a, b):
         raise InputError(f"pair: {reason}")
+    _check_names(a, b, prefix)
     A, B, group = take_apart(a), renamed(take_apart(b), prefix), a.group
     axes, links, edges = axes_of(A.root.joint), dict[str, Link](), list[Edge]()
     turns = [""] * (group.turns > 0)
@@ -227,8 +250,20 @@ def pair(a: System, b: System, *, prefix: str, name: str = "") -> System:
     contents = both_contents(contents_of(a), renamed_contents(contents_of(b), prefix))
     return to_system(
         both, name or f"{a.name} and {b.name}", contents,
-        Derivation("pair", (a, b), {"prefix": prefix, "name": name}, both_doubts(a, b)),
+        Derivation(
+            "pair", (a, b), {"prefix": prefix, "name": name}, both_doubts(a, b),
+            _closed(a, A, A) | _closed(b, B, B, prefix),
+        ),
     )  # fmt: skip
+
+
+def _closed(system: System, old: Assembly, new: Assembly, prefix: str = "") -> dict[str, Array]:
+    """Return the values of joints at a closed shape, by their names in another assembly."""
+    if system.closure is None:
+        return {}
+    x, turned = system.closure.x, reversed_balls(old, new)
+    values = {prefix + joint.name: x[joint.x] for joint in system.space.joints}
+    return {n: conjugate(value) if n in turned else value for n, value in values.items()}
 
 
 def reroot(system: System, *, link: str, name: str = "") -> System:
@@ -247,8 +282,9 @@ def reroot(system: System, *, link: str, name: str = "") -> System:
     joint, to = new_root(system, place.link, place.on_link)
     root = replace(assembly.root, joint=joint, link=place.link, to=to)
     moved, contents = replace(assembly, root=root), contents_of(system)
-    refuse_forced_balls(contents, reversed_balls(assembly, moved), "root")
-    derivation = Derivation("reroot", (system,), {"link": link, "name": name}, system.doubts)
+    refuse_reversed(contents, assembly, moved, "root")
+    arguments, closed = {"link": link, "name": name}, _closed(system, assembly, moved)
+    derivation = Derivation("reroot", (system,), arguments, system.doubts, closed)
     return to_system(moved, name or system.name, contents, derivation)
 
 
@@ -275,19 +311,22 @@ def cut(system: System, *, link: str, part: int, root: str = "", name: str = "")
     idle = _without_mass([e for e in edges if e.below not in below], assembly.links)
     outside = tuple(e for e in edges if e.below not in below | idle)
     arguments = {"link": link, "part": part, "root": root, "name": name}
-    derivation = Derivation("cut", (system,), arguments)
     joints = {e.name for e in (inside if part else outside) if e.joint is not None}
-    contents = contents_of(system, joints)
     own = below if part else assembly.links.keys() - below - idle
+    contents = contents_of(system, joints, own)
     links = {n: entry for n, entry in assembly.links.items() if n in own}
     if not part:
         carrier = Assembly(links, outside, assembly.root, assembly.gravity)
+        derivation = Derivation(
+            "cut", (system,), arguments, None, _closed(system, carrier, carrier)
+        )
         return to_system(carrier, name or system.name, contents, derivation)
     joint, to = new_root(system, edge.below, pin.SE3.Identity())
     base = Root(
         _root_name(links, inside), joint, edge.below, assembly.root.at, to, np.zeros(joint.nv)
     )
     released = Assembly(links, inside, base, assembly.gravity)
+    derivation = Derivation("cut", (system,), arguments, None, _closed(system, released, released))
     if root and root != edge.below:
         if root not in links:
             raise InputError(
@@ -297,8 +336,9 @@ def cut(system: System, *, link: str, part: int, root: str = "", name: str = "")
         whole = to_system(released, name, contents, derivation)
         joint, to = new_root(whole, root, pin.SE3.Identity())
         moved = replace(released, root=replace(base, joint=joint, link=root, to=to))
-        refuse_forced_balls(contents, reversed_balls(released, moved), "root")
-        released = moved
+        refuse_reversed(contents, released, moved, "root")
+        closed = _closed(system, released, moved)
+        derivation, released = replace(derivation, closed=closed), moved
     return to_system(released, name or edge.below, contents, derivation)
 
 
@@ -392,11 +432,14 @@ def stand(
     root = Root(_unused("contact", taken), joint, root_link, base, to, np.zeros(joint.nv))
     standing = Assembly(links, tuple(edges), root, assembly.gravity)
     contents = contents_of(system)
-    refuse_forced_balls(contents, reversed_balls(assembly, standing), "land")
+    refuse_reversed(contents, assembly, standing, "land")
     arguments = {"frame": frame, "at": at, "pivot": pivot, "up": up, "name": name}
     return to_system(
         standing, name or f"{system.name} on {frame}", contents,
-        Derivation("stand", (system,), arguments, (*system.doubts, *doubts)),
+        Derivation(
+            "stand", (system,), arguments, (*system.doubts, *doubts),
+            _closed(system, assembly, standing),
+        ),
     )  # fmt: skip
 
 

@@ -100,12 +100,14 @@ class Derivation:
         arguments: Texts and numbers that the function takes, by name.
         doubts: Warnings about inertias, if they follow from those about the other systems; None
             if the model must be searched for them.
+        closed: Values of joints at a closed shape, by name, if the systems have loops.
     """
 
     function: str
     systems: tuple[Any, ...]  # of System, which has an Origin and so imports this module
     arguments: Mapping[str, Any]
     doubts: tuple[str, ...] | None = None
+    closed: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

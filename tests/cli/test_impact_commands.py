@@ -57,7 +57,7 @@ def test_capture_command_writes_the_chain(scenes: Path, capsys: pytest.CaptureFi
     assert main(["plot", "both.npz", "--kind", "momentum", "--out", "momentum.png"]) == 0
     assert main(["play", "both.npz", "--out", "both.html"]) == 0
     assert main(["release", "both.npz", "--link", "b", "--duration", "1"]) == 2
-    assert "needs scene files" in capsys.readouterr().err
+    assert "need scene files" in capsys.readouterr().err
 
 
 def test_land_command_prints_the_impulse(scenes: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -73,6 +73,12 @@ def test_land_command_prints_the_impulse(scenes: Path, capsys: pytest.CaptureFix
         == 2
     )
     assert "the group is trivial" in capsys.readouterr().err
+    words = ["land", "hopper.toml", "--frame", "foot", "--contact", "flat", "--out", "flat.npz"]
+    assert main([*words, "--compare"]) == 0
+    assert "verdict of the chain: PASSED" in capsys.readouterr().out
+    recording = pinred.read_recording(scenes / "flat.npz")
+    assert np.abs(recording.v[-1]).max() <= 1e-14  # a rigid body on a flat foot stands still
+    assert np.abs(recording.v[-2]).max() > 1.0
 
 
 def test_release_command_prints_both_parts(
@@ -93,7 +99,7 @@ def test_release_command_prints_both_parts(
         (["capture", "a.urdf", "b.toml", "--at", "a", "--onto", "b"], "expected a scene file"),
         (["capture", "a.toml", "b.toml", "--at", "a"], "--onto"),
         (["land", "hopper.toml", "--frame", "toe"], "no link 'toe'"),
-        (["land", "hopper.toml", "--frame", "foot", "--out", "f.npz"], "pass --duration"),
+        (["land", "hopper.toml", "--frame", "foot", "--method", "RKMK4(0.1)"], "pass --duration"),
         (["land", "hopper.toml", "--frame", "foot", "--duration", "1", "--out", "f.txt"], "f.txt"),
         (["release", "a.toml", "--link", "a"], "is the root"),
     ],

@@ -8,10 +8,13 @@ import numpy as np
 import pinocchio as pin
 from ball_trees import ball_tree
 from coupled_trees import make_case
+from loop_robots import random_loops
 from trees import placement, random_model
 
 import pinred
 from pinred.common.arrays import Array
+from pinred.system.loops.loop import Loop, LoopKind
+from pinred.system.robot_file_contents import Contents
 from pinred.system.system import System
 
 LOCAL = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -67,12 +70,16 @@ def flat_tree(seed: int, joints: int) -> System:
 
 
 def random_robot(kind: str, seed: int, rng: np.random.Generator) -> System:
-    """Return a robot with balls, followers, all kinds of hinges and slides, or in a plane."""
+    """Return a robot with balls, followers, loops, all hinges and slides, or in a plane."""
     joints = int(rng.integers(1, 7))
     if kind == "balls":
         return framed(ball_tree(seed, joints), rng)
     if kind == "followers":
         return framed(make_case("SE3", joints + 2, seed).system, rng)
+    if kind == "loops":
+        loop_kinds: tuple[LoopKind, ...] = ("3d", "6d", "z")
+        model, loops = random_loops(seed, (loop_kinds[seed % 3],), 4, balls=seed % 2 > 0)
+        return framed(System(model, model.name, contents=Contents(loops=tuple(loops))), rng)
     if kind == "flat":
         return framed(flat_tree(seed, joints), rng, flat=True)
     model = random_model("SE3", joints, seed)
@@ -114,7 +121,11 @@ def frame_of(system: System, pose: Array, x: Array, name: str = "tip") -> pin.SE
 
 
 class Full:
-    """A robot with all joints of its model: mass matrix, velocities, and rows of constraints."""
+    """A robot with all joints of its model: mass matrix, velocities, and rows of constraints.
+
+    Attributes:
+        inner: Rows that vanish if followers follow and loops stay closed.
+    """
 
     def __init__(self, scene: pinred.Scene) -> None:
         """Compute the mass matrix at the start of a scene."""
@@ -124,13 +135,24 @@ class Full:
         self.v = system.sorted_v(start.xi, start.xdot)
         upper = np.triu(pin.crba(self.model, self.data, self.q))
         self.H = upper + np.triu(upper, 1).T
-        self.followers = np.zeros((len(system.couplings), self.model.nv))
-        for row, coupling in zip(self.followers, system.couplings, strict=True):
+        followers = np.zeros((len(system.couplings), self.model.nv))
+        for row, coupling in zip(followers, system.couplings, strict=True):
             for name, ratio in {
                 coupling.follower: 1.0,
                 **{k: -r for k, r in coupling.ratios.items()},
             }.items():
                 row[self.model.joints[self.model.getJointId(name)].idx_v] = ratio
+        self.inner = np.vstack([followers, *(self.loop_rows(loop) for loop in system.loops)])
+
+    def loop_rows(self, loop: object) -> Array:
+        """Return rows that vanish if both frames of a loop, which coincide, move alike."""
+        assert isinstance(loop, Loop)
+        apart = self.rows(loop.frame_a) - self.rows(loop.frame_b)
+        turns = self.data.oMf[self.model.getFrameId(loop.frame_a)].rotation.T @ apart[3:]
+        kept = {"3d": [], "6d": [0, 1, 2]}.get(
+            loop.kind, [k for k in range(3) if "xyz"[k] != loop.kind]
+        )
+        return np.vstack([apart[:3], turns[kept]])
 
     def rows(self, frame: str) -> Array:
         """Return the Jacobian of a frame in world axes, (6, nv)."""

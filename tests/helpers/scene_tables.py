@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pinred
+from pinred.scene.toml.documents import IMPACTS
 
 DOCUMENT = Path(__file__).parents[2] / "docs/scenes.md"
 START = "<!-- tables: written by tests/helpers/scene_tables.py -->\n"
@@ -68,6 +69,10 @@ def tables() -> str:
             table(f'`[[forces]]` `kind = "{one["properties"]["kind"]["enum"][0]}"`', one, defs)
         )
     out.append(table("`[[events]]`", keys["events"]["items"], defs))
+    phase = keys["phases"]["items"]
+    out.append(table("`[[phases]]`", phase, defs))
+    impacts = phase["properties"]
+    out += [table(f"`phases.{name}`", impacts[name], defs) for name in IMPACTS]
     return "\n".join(out)
 
 

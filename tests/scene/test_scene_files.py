@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import MISSING, fields
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ from pinred.integrators.methods import (
     Variational,
 )
 from pinred.scene.scene_options import LOAD, METHOD_TABLES
-from pinred.scene.toml.documents import SCENE
+from pinred.scene.toml.documents import IMPACTS, SCENE
 from pinred.scene.toml.force_kinds import FORCES
 from pinred.scene.toml.reader import read_scene_file
 from pinred.signals import Constant, Expression, Fourier, Hold, Linear, Spline
@@ -314,8 +315,12 @@ def test_keys_are_the_options_of_python() -> None:
     scene = {entry.name for entry in fields(pinred.Scene)} - {"system"}
     tables = [SCENE.keys[name].node for name in ("start", "run")]
     keys = {key for table in tables for key in table.keys}  # type: ignore[attr-defined]
-    keys |= set(SCENE.keys) - {"robot", "load", "start", "run", "sweep"}
+    keys |= set(SCENE.keys) - {"robot", "load", "start", "run", "sweep", "second", "phases"}
     assert keys == scene | {"samples", "engine", "check", "checkpoint"}
+    for call in (pinred.capture, pinred.release, pinred.land):
+        impact = set(IMPACTS[call.__name__].node.keys)  # type: ignore[attr-defined]
+        arguments = set(signature(call).parameters) - {"a", "b", "state", "name"}
+        assert impact - {"align"} == arguments
     assert set(LOAD.keys) == {
         "group",
         "gravity",

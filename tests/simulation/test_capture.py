@@ -11,15 +11,19 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from ball_trees import ball_tree
+from loop_robots import FOUR_BAR, four_bar
 from meeting_pairs import Full, Twists, flat_tree, frame_of, framed, make_pair, stop
 
 import pinred
 from pinred import InputError, Scene, UnsupportedOperationError
 from pinred.common.arrays import Array
+from pinred.system.derived_systems import reroot
+from pinred.system.loops.loop import Loop
 from pinred.system.passive import Spring
+from pinred.system.robot_file_contents import Contents, Keyframe
 
 PAIRS = 50
-KINDS = ("trees", "balls", "followers", "flat")
+KINDS = ("trees", "balls", "followers", "loops", "flat")
 REST = (0.0, 0.0, 0.0)
 
 
@@ -36,11 +40,11 @@ def test_capture_of_random_pairs_equals_constrained_impulse(kind: str) -> None:
         pair = make_pair(kind, seed)
         capture = pinred.capture(pair.a, pair.b, at="tip", onto="tip")
         a, b = Full(pair.a), Full(pair.b)
-        n, k, size = len(a.v), len(a.followers), len(a.v) + len(b.v)
-        H, C = np.zeros((size, size)), np.zeros((6 + k + len(b.followers), size))
+        n, k, size = len(a.v), len(a.inner), len(a.v) + len(b.v)
+        H, C = np.zeros((size, size)), np.zeros((6 + k + len(b.inner), size))
         H[:n, :n], H[n:, n:] = a.H, b.H
         C[:6, :n], C[:6, n:] = a.rows("tip"), -b.rows("tip")
-        C[6 : 6 + k, :n], C[6 + k :, n:] = a.followers, b.followers
+        C[6 : 6 + k, :n], C[6 + k :, n:] = a.inner, b.inner
         v = np.concatenate([a.v, b.v])
         after, multipliers = stop(H, C, v)
         expected = a.twists(after[:n]) | b.twists(after[n:], capture.prefix)
@@ -208,7 +212,7 @@ def frame_of_link(system: pinred.System, pose: Array, x: Array, name: str) -> pi
 @pytest.mark.parametrize("kind", KINDS)
 def test_release_after_capture_gives_back_both_robots(kind: str) -> None:
     """Mass matrices and poses are those before; links move as those of the joined robot."""
-    for seed in range(3):
+    for seed in range(1 if kind == "loops" else 3):
         pair = make_pair(kind, 100 + seed)
         capture = pinred.capture(pair.a, pair.b, at="tip", onto="tip")
         joint = f"tip+{capture.prefix}tip"
@@ -312,8 +316,9 @@ def rejected_captures() -> dict[str, tuple[Callable[[], object], str]]:
     near = start_at(b, pose0=[1.0 + 2e-6, 0, 0, 0, 0, 0, 1])
     turned = start_at(b, pose0=[1, 0, 0, 0, 0, 1, 0])
     heavy, flat_start = start_at(pinred.load(rock)), start_at(flat)
-    bars, again = Scene(system=pinred.load("four_bar")), start_at(own.system)
+    again = start_at(own.system)
     wrong: Any = "rock"
+    named = start_at(chaser(), xi0=np.ones(6))
 
     def take(second: Any = there, at: str = "tool", onto: str = "rock", **more: Any) -> Any:
         return lambda: pinred.capture(own, second, at=at, onto=onto, **more)
@@ -329,7 +334,7 @@ def rejected_captures() -> dict[str, tuple[Callable[[], object], str]]:
         "same state": (take(again, onto="bus"), "same one twice"),
         "tolerance": (take(tolerance=np.nan), "tolerance"),
         "kind": (take(wrong), "b: expected"),
-        "loops": (take(bars), "closed loops"),
+        "prefix": (take(named, onto="tool", prefix=""), "prefix: with '', .* both have arm"),
         "release of the root": (lambda: pinred.release(own, "bus"), "is the root"),
         "release of a frame": (lambda: pinred.release(own, "nothing"), "no link 'nothing'"),
         "release to another root": (
@@ -345,6 +350,82 @@ def test_impossible_capture_is_refused_by_name(case: str) -> None:
     call, words = rejected_captures()[case]
     with pytest.raises((InputError, UnsupportedOperationError), match=words):
         call()
+
+
+def looped_capture(*, root: str = "frame") -> pinred.Capture:
+    """Return the capture of a body by the free tip of a four-bar linkage in the plane."""
+    model, loops = four_bar()
+    for name in FOUR_BAR:
+        joint = model.getJointId("base" if name == "frame" else name)
+        model.addFrame(pin.Frame(name, joint, 0, pin.SE3.Identity(), pin.FrameType.BODY))
+    plain = pinred.System(model, "bars", contents=Contents(loops=tuple(loops)))
+    assert plain.closure is not None
+    # The mirror image of the closed shape that the assembly finds from zero.
+    other = Keyframe(plain.group.identity(), -plain.closure.x, np.zeros(3), np.zeros(3))
+    contents = Contents(loops=tuple(loops), keyframes={"mirrored": other})
+    bars = pinred.System(model, "bars", contents=contents)
+    rock = pinred.load(
+        pinred.Model("rock").body("rock", mass=2.0, inertia=1.5), group="SE2", gravity=REST
+    )
+    scene = Scene(system=bars, keyframe="mirrored", xdot0={"crank": 1.0}, xi0=[0.2, 0.1, -0.4])
+    place = frame_of(bars, scene.start.pose, scene.start.x, "rocker_tip")
+    pose = [*place.translation[:2], np.arctan2(place.rotation[1, 0], place.rotation[0, 0])]
+    body = Scene(system=rock, pose0=pose, xi0=[0.3, -0.2, 0.5])
+    if root == "rock":
+        return pinred.capture(body, scene, at="rock", onto="rocker_tip")
+    return pinred.capture(scene, body, at="rocker_tip", onto="rock")
+
+
+def test_robot_with_a_loop_captures_and_is_captured_alike() -> None:
+    """Both roots have the same links, loops and energies; the closed shape is that of the bars."""
+    captures = [looped_capture(), looped_capture(root="rock")]
+    lost = [capture.energy_lost for capture in captures]
+    assert lost[1] == pytest.approx(lost[0], rel=1e-13)
+    for capture in captures:
+        assert [loop.name for loop in capture.system.loops] == ["tips"]
+        bars = capture.a if capture.a.loops else capture.b
+        closed, expected = (
+            dict(zip(s.x_names, s.closure.x, strict=True))
+            for s in (capture.system, bars)
+            if s.closure
+        )
+        assert closed == pytest.approx(expected, rel=1e-13)
+
+
+def test_captured_robot_starts_its_loops_at_the_known_closed_shape() -> None:
+    """Balls that turn over have the inverse attitude; all other joints have the same values."""
+    turned = 0
+    for seed in range(4):
+        pair = make_pair("loops", seed)
+        capture = pinred.capture(pair.a, pair.b, at="tip", onto="tip")
+        known, joined = pair.b.system, capture.system
+        assert known.closure is not None
+        assert joined.closure is not None
+        slots = {joint.name: joint.x for joint in joined.space.joints}
+        for joint in known.space.joints:
+            expected = known.closure.x[joint.x]
+            found = joined.closure.x[slots[capture.prefix + joint.name]]
+            if joint.kind.is_ball and np.abs(found - expected).max() > 1e-6:
+                expected, turned = expected * [-1.0, -1.0, -1.0, 1.0], turned + 1
+            np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert turned
+
+
+def test_release_keeps_a_loop_whole() -> None:
+    """The robot keeps its loop; a cut through it, and an end that turns over, are refused."""
+    capture = looped_capture()
+    release = pinred.release(capture, "rock")
+    assert release.carrier.system.loops == capture.a.loops
+    assert release.released.system.loops == ()
+    with pytest.raises(
+        InputError, match=r"Loop 'tips' of .* connects parts that the cut separates"
+    ):
+        pinred.release(capture, "rocker")
+    ends = (Loop("coupler", "rocker_tip", "3d", "ends"),)
+    model, _ = four_bar(lengths={**FOUR_BAR, "rocker": 0.6})
+    bars = pinred.System(model, "bars", contents=Contents(loops=ends))
+    with pytest.raises(UnsupportedOperationError, match="loop 'ends' ends at joint 'coupler'"):
+        reroot(bars, link="coupler_tip")
 
 
 def test_capture_with_tolerance_keeps_the_offset() -> None:

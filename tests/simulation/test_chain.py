@@ -123,6 +123,19 @@ def test_chain_passes_the_comparison(chain: Chain) -> None:
     assert worst <= 1e-13
 
 
+def test_chain_may_end_with_an_impact(motions: dict[str, Any], chain: Chain) -> None:
+    """The last state is the one after the impact, as in a chain that goes on."""
+    short = pinred.chain(motions["approach"], motions["capture"])
+    first = len(short.t)
+    assert short.t[-1] == np.nextafter(1.0, 2.0) == chain.t[first - 1]
+    for name in ("q", "v", "energy", "spatial_momentum"):
+        values, expected = getattr(short, name), getattr(chain, name)[:first]
+        np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-12)
+    report = pinred.compare(short)
+    assert report
+    assert len(report.impacts) == 1
+
+
 def test_chain_saves_loads_plots_and_plays(chain: Chain, tmp_path: Path) -> None:
     """A file has the recipe of the robot; the robot that it makes has the same mass matrix."""
     chain.save(tmp_path / "chain.npz")
@@ -193,6 +206,33 @@ def test_landing_in_a_chain_goes_on_in_stance(tmp_path: Path) -> None:
     assert recording.system.shape_names == stance.system.shape_names
 
 
+def test_chain_of_a_robot_with_loops_passes_the_comparison(tmp_path: Path) -> None:
+    """A linkage catches a disc and lets it go, or lands; a file makes the robot again."""
+    bars = pinred.load("four_bar", gravity=REST)
+    model = pinred.Model("disc").body("disc", mass=2.0, inertia=1.5)
+    disc = pinred.load(model, group="SE2", gravity=REST)
+    approach = pinred.simulate(bars, seed=3, duration=0.2)
+    tip = frame_of_link(bars, approach, "rocker_tip")
+    angle = np.arctan2(tip.rotation[1, 0], tip.rotation[0, 0])
+    pose = [*tip.translation[:2], angle - 0.1]
+    other = pinred.simulate(disc, pose0=pose, xi0=[0.0, 0.0, 0.5], duration=0.2)
+    capture = pinred.capture(approach, other, at="rocker_tip", onto="disc")
+    together = pinred.simulate(capture.system, **capture.start, duration=0.2)
+    release = pinred.release(together, "disc")
+    apart = [
+        pinred.simulate(p.system, **p.start, duration=0.1)
+        for p in (release.carrier, release.released)
+    ]
+    chain = pinred.chain([approach, other], capture, together, release, apart)
+    assert pinred.compare(chain)
+    chain.save(tmp_path / "chain.npz")
+    assert pinred.read_recording(tmp_path / "chain.npz").system.loops == bars.loops
+    landing = pinred.land(approach, "rocker_tip")
+    assert landing.stance is not None
+    stance = pinred.simulate(landing.stance.system, **landing.stance.start, duration=0.1)
+    assert pinred.compare(pinred.chain(approach, landing, stance))
+
+
 SLIGHT = 6e-11  # relative change that the bound of 1e-11 finds, and a tenfold bound would not
 
 
@@ -222,7 +262,7 @@ def changed(impact: Any, name: str) -> Any:
 
 
 @pytest.mark.parametrize("name", ["xi", "xdot", "impulse", "energy_lost"])
-@pytest.mark.parametrize("kind", ["trees", "balls", "followers", "flat"])
+@pytest.mark.parametrize("kind", ["trees", "balls", "followers", "loops", "flat"])
 def test_comparison_finds_a_wrong_impact(kind: str, name: str) -> None:
     """A slight change of a capture or landing fails, and the impact itself passes."""
     pair = make_pair(kind, 300)
@@ -302,7 +342,10 @@ def rejected_chains(motions: dict[str, Any]) -> dict[str, tuple[Callable[[], obj
     alone = pinred.simulate(rock, xi0=np.ones(6), duration=1.0)
     return {
         "no motion first": (lambda: pinred.chain(capture, together), "a motion before each"),
-        "no motion last": (lambda: pinred.chain(approach, capture), "a motion at the end"),
+        "wrong end": (
+            lambda: pinred.chain([pinred.simulate(traj.scene, duration=0.5) for traj in approach],
+                                 capture), "does not have the state",
+        ),
         "ends": (lambda: pinred.chain([approach[0], longer], capture, together), "end together"),
         "jump": (lambda: pinred.chain(approach, capture, moved), "does not start where"),
         "without impact": (lambda: pinred.chain(approach, together), "does not start where"),
@@ -317,13 +360,13 @@ def rejected_chains(motions: dict[str, Any]) -> dict[str, tuple[Callable[[], obj
         ),
         "slight jump": (lambda: pinred.chain(approach, capture, slightly), "does not start where"),
         "delay": (lambda: pinred.chain([approach[0], later], capture, together), "end together"),
-        "empty": (lambda: pinred.chain(), "a motion at the end"),
+        "empty": (lambda: pinred.chain(), "expected a motion"),
     }  # fmt: skip
 
 
 @pytest.mark.parametrize(
     "case",
-    ["no motion first", "no motion last", "ends", "jump", "without impact", "one of two",
+    ["no motion first", "wrong end", "ends", "jump", "without impact", "one of two",
      "other links", "lacks", "other end", "slight jump", "delay", "empty"],
 )  # fmt: skip
 def test_chain_with_a_gap_is_refused_by_name(case: str, motions: dict[str, Any]) -> None:

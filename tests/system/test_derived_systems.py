@@ -179,7 +179,7 @@ def test_coupled_joints_cannot_be_separated() -> None:
     inertia = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" '
     inertia += 'iyz="0"/></inertial>'
     system = pinred.load(text=text.replace("I<", f"{inertia}<"), group="SE3", gravity=REST)
-    with pytest.raises(InputError, match=r"a coupling of 'r' connects joints.*k, j"):
+    with pytest.raises(InputError, match=r"Coupling of 'r' connects parts.*k, j"):
         pinred.release(pinred.Scene(system=system, xdot0=[1.0]), "c")
 
 

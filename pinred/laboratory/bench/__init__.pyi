@@ -37,6 +37,9 @@ from .reference import reference_of as reference_of
 from .soft_loops import SoftLoop as SoftLoop
 from .soft_loops import SoftLoops as SoftLoops
 from .soft_loops import bench_loops as bench_loops
+from .soft_stops import SoftStop as SoftStop
+from .soft_stops import SoftStops as SoftStops
+from .soft_stops import bench_stops as bench_stops
 from .solver import End as End
 from .solver import PreparedRun as PreparedRun
 from .solver import Solver as Solver

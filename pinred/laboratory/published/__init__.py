@@ -20,7 +20,9 @@ from ...analysis.phases.rigid_body import rigid_body_phase as rigid_body_phase
 from ...analysis.stability.along_motions import linearise as linearise
 from ...scene.event import Event as Event
 from ...scene.scene import Scene as Scene
+from ...scene.stop import Stop as Stop
 from ...simulation.contact.capture import capture as capture
+from ...simulation.contact.landing import land as land
 from ...simulation.simulate import simulate as simulate
 from ...system.load import load as load
 from ...system.robot_description import Model as Model

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ...common.errors import InputError
 from ...common.names import nearest
-from . import dynamics, locomotion, turns
+from . import collisions, dynamics, locomotion, turns
 from .row import Result, Row
 
 # All rows by name, in the order of the table.
@@ -14,7 +14,7 @@ ROWS: dict[str, Row] = {
     row.name: row
     for row in (
         *(*dynamics.FREE, *dynamics.TOPS, *turns.CATS, *dynamics.PLANAR, *dynamics.PENDULUMS),
-        *(*locomotion.CHAINS, *locomotion.WHEELS, *turns.ARMS, *dynamics.CAPTURES),
+        *(*locomotion.CHAINS, *locomotion.WHEELS, *turns.ARMS, *collisions.COLLISIONS),
     )
 }
 _NAME, _NUMBER = 22, 34  # widths of columns

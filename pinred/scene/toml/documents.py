@@ -17,7 +17,18 @@ from ...system.robot_files import bundled_robots
 from ...system.system import System
 from ..scene_options import LOAD, RUN_OPTIONS, SCENE_OPTIONS, SWEEP, Option, list_conflicts
 from .file_place import Place, one_line, read_text
-from .schema import Key, Schema, Table, Text, document_schema, with_places
+from .schema import (
+    Either,
+    Flag,
+    Key,
+    ListOf,
+    Number,
+    Schema,
+    Table,
+    Text,
+    document_schema,
+    with_places,
+)
 
 # The keys of scene files and gait files that name the robot.
 ROBOT = {
@@ -32,8 +43,104 @@ _TABLES = {"start": "the initial state", "run": "how to simulate"}
 FILE_OPTIONS: Mapping[str, Option] = {**SCENE_OPTIONS, **RUN_OPTIONS}
 
 
+# Options of a run that a part of a chain does not have, and those that only its first robot has.
+_OF_ONE_MOTION = ("outputs", "checkpoint")
+_OF_FIRST = ("duration", "times", "samples", "events")
+# What happens before a later phase, by key.
+IMPACTS = {
+    "capture": Key(
+        Table(
+            {
+                "at": Key(Text(), "link or frame of the first robot", required=True),
+                "onto": Key(Text(), "link or frame of the second one", required=True),
+                "tolerance": Key(
+                    Number(positive=True),
+                    "largest distance [m] and angle [rad] of the frames",
+                    default="1e-6",
+                ),
+                "prefix": Key(
+                    Text(),
+                    "text before the names of the second",
+                    default="its name if names collide",
+                ),
+                "align": Key(
+                    Flag(),
+                    "move the start of the second robot, so that the frames meet",
+                    default="false",
+                ),
+            },
+            "a capture",
+        ),
+        "the robots become one, by a plastic impact (docs/capture.md)",
+    ),
+    "release": Key(
+        Table(
+            {
+                "link": Key(
+                    Text(), "link behind the joint that opens, or the joint", required=True
+                ),
+                "root": Key(
+                    Text(), "link of the released part that its pose describes", default="link"
+                ),
+            },
+            "a release",
+        ),
+        "the robot becomes two; the released part is the second",
+    ),
+    "land": Key(
+        Table(
+            {
+                "frame": Key(
+                    Either((Text(), ListOf(Text()))), "frame that stops, or several", required=True
+                ),
+                "contact": Key(
+                    Text(("point", "flat")),
+                    "point: its origin stops; flat: it stops turning, too",
+                    default="point",
+                ),
+            },
+            "a landing",
+        ),
+        "the robot stops at the ground and turns about its foot",
+    ),
+}
+
+
 def scene_table(options: Mapping[str, Option]) -> Table:
     """Return the table of keys of a scene file with these options."""
+    others = {name: option for name, option in options.items() if name not in _OF_ONE_MOTION}
+    second = {name: option for name, option in others.items() if name not in _OF_FIRST}
+    later = {name: option for name, option in others.items() if option.table != "start"}
+    beside = {name: option for name, option in second.items() if option.table != "start"}
+    pairs = [(a, b) for a in IMPACTS for b in IMPACTS if a < b]
+    words = "forces, prescribed joints and so on of the second robot"
+    motion = Table(_motion_keys(beside), words)
+    phase = Table(
+        {**IMPACTS, **_motion_keys(later), "second": Key(motion, words)},
+        "a phase",
+        apart=tuple(pairs),
+    )
+    another = Table({**ROBOT, **_motion_keys(second)}, "another robot")
+    keys = {
+        "sweep": SWEEP,
+        "second": Key(another, "another robot, which moves at the same time until both become one"),
+        "phases": Key(
+            ListOf(phase),
+            "what follows the motion, each with an impact before it or without",
+            default="none",
+        ),
+    }
+    return with_places(
+        Table(
+            {**ROBOT, **_motion_keys(options), **keys},
+            "a scene",
+            apart=(("sweep", "phases"),),
+        )
+    )
+
+
+def _motion_keys(options: Mapping[str, Option]) -> dict[str, Key]:
+    """Return the keys of the options of a motion, in their tables."""
 
     def keys_in(table: str) -> dict[str, Key]:
         return {name: option for name, option in options.items() if option.table == table}
@@ -45,9 +152,9 @@ def scene_table(options: Mapping[str, Option]) -> Table:
             apart=tuple(p for p in list_conflicts(options) if {*p} <= keys_in(name).keys()),
         )
         for name, words in _TABLES.items()
+        if keys_in(name)
     }
-    keys = {**ROBOT, **{name: Key(table, table.words) for name, table in tables.items()}}
-    return with_places(Table(keys | keys_in("") | {"sweep": SWEEP}, "a scene"))
+    return {name: Key(table, table.words) for name, table in tables.items()} | keys_in("")
 
 
 def options_in(document: Mapping[str, Any], options: Mapping[str, Option]) -> dict[str, Any]:

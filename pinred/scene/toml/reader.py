@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -21,13 +21,14 @@ from ...forces.signals import Signal
 from ...forces.signals.expressions import FUNCTIONS, parse
 from ...integrators.methods import METHODS
 from ...system.assembly import link_frame
+from ...system.model_parameters import size_of
 from ...system.system import System
 from ..event import Event
 from ..initial_state import DURATION
 from ..input_formats import parse_control, parse_controls, parse_method
 from ..scene import ENGINES, Engine, Scene
 from ..stop import Stop, parse_stops
-from .documents import FILE_OPTIONS, SCENE, options_in, read_document, robot_in
+from .documents import FILE_OPTIONS, IMPACTS, SCENE, options_in, read_document, robot_in
 from .file_place import Place, naming, one_line, unknown
 from .force_kinds import FORCES
 from .parameter_tables import FileParameter, file_parameters, refuse_others, with_robot_parameters
@@ -45,6 +46,8 @@ class SceneFile:
         checkpoint: Checkpoint file of the run, or None.
         sweep: Arguments of `pinred.sweep`, {} without a table `sweep`.
         place: Place of the table `sweep`, for messages.
+        second: The scene of a second robot, which moves at the same time, or None.
+        phases: What follows the motion.
     """
 
     scene: Scene
@@ -53,6 +56,50 @@ class SceneFile:
     checkpoint: Path | None
     sweep: Mapping[str, Any]
     place: Place
+    second: SceneFile | None = None
+    phases: tuple[LaterPhase, ...] = ()
+
+
+@dataclass(frozen=True)
+class LaterPhase:
+    """A later phase of a chain, whose robots are known when the phases before it have run.
+
+    Attributes:
+        document: The table of the phase.
+        place: Its place in the file.
+        folder: Folder of the file.
+    """
+
+    document: Mapping[str, Any]
+    place: Place
+    folder: Path
+
+    @property
+    def impact(self) -> tuple[str, dict[str, Any]] | None:
+        """Name and arguments of the impact before the phase; None if there is none."""
+        names = [name for name in IMPACTS if name in self.document]
+        return (names[0], dict(self.document[names[0]])) if names else None
+
+    def scene_file(self, system: System, start: Mapping[str, Any], *, second: bool) -> SceneFile:
+        """Return the scene of a robot in this phase.
+
+        Args:
+            system: The robot.
+            start: Options that start it: pose0, x0, xdot0 and xi0.
+            second: Whether it is the second robot of the phase.
+        Returns:
+            The scene, and how to simulate it.
+        Raises:
+            InputError: a key or value is not valid.
+        """
+        document, place = self.document, self.place
+        if second:
+            document, place = document.get("second", {}), place / "second"
+        parameters = file_parameters(document, place)
+        for parameter in parameters:
+            if size_of(system, parameter.name) is not None:
+                parameter.place.fail("a robot keeps its parameters; state them above all phases")
+        return _Builder(self.folder, place, document, system, parameters).build(start)
 
 
 @checks_arguments
@@ -64,34 +111,73 @@ def load_scene(path: str | Path) -> Scene:
     Returns:
         The scene.
     Raises:
-        InputError: a key or value is not valid; the message names file, line and key.
+        InputError: a key or value is not valid; the message names file, line and key.  Or the
+            file has several phases, which `simulate_chain` simulates.
         LoadError: the file, or a file that it names, cannot be read.
         PinredError: `load` or `Scene` rejects the robot or the scene.
     """
-    return read_scene_file(path).scene
+    file = read_scene_file(path)
+    refuse_phases(file)
+    return file.scene
+
+
+def refuse_phases(file: SceneFile) -> None:
+    """Raise InputError if a file has several phases, where one motion is needed."""
+    if file.phases:
+        file.phases[0].place.fail(
+            "this file has several phases; pinred.simulate_chain and `pinred run` simulate them"
+        )
 
 
 def read_scene_file(path: str | Path) -> SceneFile:
-    """Read a TOML file: the scene, and how to simulate it (see load_scene)."""
+    """Read a TOML file: the scene, how to simulate it, and what follows (see load_scene)."""
     document, place = read_document(path, SCENE, "scene")
-    return _Builder(Path(path).parent, place, document).build()
+    folder, phases = Path(path).parent, document.get("phases", [])
+    if phases:
+        for name in ("outputs", "checkpoint"):
+            if name in document.get("run", {}):
+                (place / "run" / name).fail("a file with several phases has no such option")
+    second = document.get("second")
+    if second is not None and not phases:
+        (place / "second").fail("a second robot needs [[phases]], in which both become one")
+    return replace(
+        _robot_file(folder, place, document),
+        second=None if second is None else _robot_file(folder, place / "second", second),
+        phases=tuple(
+            LaterPhase(phase, place / "phases" / k, folder) for k, phase in enumerate(phases)
+        ),
+    )
+
+
+def _robot_file(folder: Path, place: Place, document: dict[str, Any]) -> SceneFile:
+    """Return the scene of the robot that a document names."""
+    parameters = file_parameters(document, place)
+    robot = robot_in(document, folder, place)
+    return _Builder(
+        folder, place, document, *with_robot_parameters(robot, parameters, place)
+    ).build()
 
 
 class _Builder:
     """Conversion of a validated document to a scene."""
 
-    def __init__(self, folder: Path, place: Place, document: dict[str, Any]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        place: Place,
+        document: Mapping[str, Any],
+        system: System,
+        parameters: Sequence[FileParameter],
+    ) -> None:
         self.place, self.document = place, document
         self.signals, self.folder = SignalReader(folder), folder
-        parameters = file_parameters(document, place)
-        robot = robot_in(document, folder, place)
-        self.system, others = with_robot_parameters(robot, parameters, place)
-        self.parameter_places = {parameter.name: parameter.place for parameter in others}
-        self.parameters = self._formula_parameters(others)
+        self.system = system
+        self.parameter_places = {parameter.name: parameter.place for parameter in parameters}
+        self.parameters = self._formula_parameters(parameters)
         self.symbols, _ = symbols_of(self.system, None)
 
-    def build(self) -> SceneFile:
-        """Return the contents of the file."""
+    def build(self, start: Mapping[str, Any] | None = None) -> SceneFile:
+        """Return the contents of the file, with options that state the start if it does not."""
         options = options_in(self.document, FILE_OPTIONS)
         options["parameters"] = {name: each.value for name, each in self.parameters.items()}
         engine, check = options.pop("engine", ENGINES[0]), options.pop("check", False)
@@ -120,6 +206,7 @@ class _Builder:
         for name in convert:
             if name in options:
                 options[name] = convert[name](options[name], self._option_place(name))
+        options |= start or {}
         if options.get("method", "auto") != "auto" and engine != "compiled":
             self._option_place("method").fail("engine 'pinocchio' has an integrator of its own")
         try:

@@ -7,6 +7,7 @@ the momentum is pulled back to this subspace:
     p⁺ = Jᵀ H v⁻,   v⁺ = (Jᵀ H J)⁻¹ p⁺.
 
 The sum of the spatial momenta is kept exactly, and the energy ½ |v⁻ − J v⁺|²_H is lost (Carnot).
+With closed loops, the columns of J span the velocities that keep all loops closed.
 A release is the inverse without impulse.
 """
 
@@ -19,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array, is_finite, positive
+from ...common.arrays import Array, positive
 from ...common.errors import InputError
 from ...common.names import quoted
 from ...reduction.inertia_split import mass_matrix_at
@@ -39,6 +40,7 @@ from ...system.derived_systems import (
     same_motions,
 )
 from ...system.joints import axes_of
+from ...system.loops.looped_system import loop_jacobian
 from ...system.system import System, checked_system
 from ..over_time import OverTime
 from ..trajectory import Trajectory
@@ -61,8 +63,7 @@ class _AfterImpact:
     @property
     def start(self) -> dict[str, Any]:
         """Options that start a simulation at this state: pose0, x0, xdot0 and xi0."""
-        state = self.instant
-        return {"pose0": state.pose, "x0": state.x, "xdot0": state.xdot, "xi0": state.xi}
+        return options_of(self.instant)
 
     @property
     def scene(self) -> Scene:
@@ -165,9 +166,10 @@ def capture(
     Returns:
         The joined system with its state, the impulse, and the balances.
     Raises:
-        InputError: A frame is unknown, the frames do not coincide, the groups or gravity differ, or
-            both are the same robot.
-        UnsupportedOperationError: A robot has closed loops.
+        InputError: A frame is unknown, the frames do not coincide, the groups or gravity differ, a
+            name would occur twice, or both are the same robot.
+        UnsupportedOperationError: A force acts at a ball that changes its direction, or a loop ends
+            at the frame of a joint that does.
     """
     tolerance = positive(tolerance, "tolerance")
     (A, before_a), (B, before_b) = moment_of(a, "a"), moment_of(b, "b")
@@ -189,19 +191,20 @@ def capture(
     joined = join(
         A, B, at=at, onto=onto, offset=np.array(pin.SE3ToXYZQUAT(offset)), prefix=used, name=name
     )
+    shape = carry_state([Moving(A, before_a), Moving(B, before_b, used)], joined).x
     # The velocities of both robots are J v⁺, the rows of the first robot first.
     J = _embedding(A, B, joined, (first, second), (before_a, before_b), offset, used)
+    N = closed_velocities(joined, shape)
     H_a, H_b = mass_matrix(A, before_a), mass_matrix(B, before_b)
     v_a, v_b = (np.concatenate([i.xi, i.xdot]) for i in (before_a, before_b))
     p_a, p_b, split = H_a @ v_a, H_b @ v_b, A.n
     J_a, J_b = J[:split], J[split:]
     H = J_a.T @ H_a @ J_a + J_b.T @ H_b @ J_b
-    v = np.linalg.solve(H, J_a.T @ p_a + J_b.T @ p_b)
+    v = N @ np.linalg.solve(N.T @ H @ N, N.T @ (J_a.T @ p_a + J_b.T @ p_b))
     lost_a, lost_b = v_a - J_a @ v, v_b - J_b @ v
     r = A.r
     rows = jacobian(A, first, before_a)[:, :r]
     impulse = rows @ np.linalg.solve(rows.T @ rows, -(H_a @ lost_a)[:r])
-    shape = carry_state([Moving(A, before_a), Moving(B, before_b, used)], joined).x
     momentum_a = A.group.spatial_momentum(before_a.pose, p_a[:r])
     momentum_b = _in_root_of(A, B, B.group.spatial_momentum(before_b.pose, p_b[:r]))
     return Capture(
@@ -230,11 +233,10 @@ def moment_of(value: Moment, what: str) -> tuple[System, Instant]:
     Returns:
         The system and its state.
     Raises:
-        InputError: The value is of another type, or the state is not finite.
-        UnsupportedOperationError: The system has closed loops.
+        InputError: The value is of another type.
     """
     if isinstance(value, System):
-        value = scene_of(checked_system(value, what), {})
+        value = scene_of(checked_system(value, what, loops=True), {})
     if isinstance(value, _AfterImpact):
         return value.system, value.instant
     if isinstance(value, Scene):
@@ -250,10 +252,12 @@ def moment_of(value: Moment, what: str) -> tuple[System, Instant]:
             f"{what}: expected a Trajectory, Recording, Scene, System, Capture, Landing or a part "
             f"of a Release, got {type(value).__name__}"
         )
-    system.refuse_loops(what)
-    if not all(is_finite(column) for column in vars(state).values()):
-        raise InputError(f"{what}: the state of '{system.name}' is not finite")
     return system, state
+
+
+def options_of(state: Instant) -> dict[str, Any]:
+    """Return the options that start a simulation at a state: pose0, x0, xdot0 and xi0."""
+    return {f"{name}0": value for name, value in vars(state).items()}
 
 
 def _same_state(a: Instant, b: Instant) -> bool:
@@ -275,6 +279,18 @@ def mass_matrix(system: System, state: Instant) -> Array:
     """Return the mass matrix of base and shape, (n, n)."""
     model, data = system.sorted_model, system.sorted_data
     return mass_matrix_at(system, model, data, state.pose, state.x)
+
+
+def closed_velocities(system: System, x: Array) -> Array:
+    """Return a basis of the velocities (ξ, ẋ) that keep all loops closed at shape x, (n, k)."""
+    if system.closure is None:
+        return np.eye(system.n)
+    rows = loop_jacobian(system, x)[system.closure.rows]
+    Q = np.linalg.qr(rows.T, mode="complete")[0]
+    basis = np.zeros((system.n, system.n - len(rows)))
+    basis[: system.r, : system.r] = np.eye(system.r)
+    basis[system.r :, system.r :] = Q[:, len(rows) :]
+    return basis
 
 
 def jacobian(system: System, place: Place, state: Instant) -> Array:
@@ -385,9 +401,8 @@ def release(state: Moment, link: str, *, root: str = "") -> Release:
     Returns:
         Both systems with their states.
     Raises:
-        InputError: The link is unknown or the root; couplings or springs connect both parts; or
-            the part cannot float on its own.
-        UnsupportedOperationError: The robot has closed loops.
+        InputError: The link is unknown or the root; couplings, springs or loops connect both parts;
+            or the part cannot float on its own.
     """
     system, before = moment_of(state, "release")
     parts = [cut(system, link=link, part=part, root=root if part else "") for part in (0, 1)]

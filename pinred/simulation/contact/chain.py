@@ -8,7 +8,7 @@ lands.  A phase with fewer freedoms is a motion of this system, too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -30,10 +30,10 @@ from ...system.derived_systems import (
 )
 from ...system.state_fields import State, arrays_of
 from ...system.system import System
-from ..impacts import ImpactTable
+from ..impacts import ImpactTable, joined_tables
 from ..recording import Recording
 from ..trajectory import Trajectory
-from .capture import Capture, Release, mass_matrix
+from .capture import Capture, Release, mass_matrix, moment_of
 from .landing import Landing
 
 Impact: TypeAlias = Capture | Release | Landing
@@ -82,8 +82,8 @@ class Chain(Recording):
         origin: Arrays of a recording; empty.
         confirmed: Whether the user named the robot; it is known.
         phases: The phases.
-        between: What happens after each phase except the last: a Capture, Release or Landing, or
-            None.
+        between: What happens after each phase: a Capture, Release or Landing, or None.  After the
+            last one nothing need happen.
         impacts: The impacts at joint stops in all phases.
         whole: The system that contains the robots of all phases; `system` is the same.
     """
@@ -120,7 +120,7 @@ def chain(*parts: Any) -> Chain:
     Args:
         parts: Trajectories in the order of time, with the Capture, Release or Landing between
             them.  Systems that move at the same time are a list of motions:
-            chain([chaser, target], capture, together).
+            chain([chaser, target], capture, together).  An impact at the end is the last state.
     Returns:
         The chain.
     Raises:
@@ -144,6 +144,8 @@ def chain(*parts: Any) -> Chain:
         phases.append(phase)
         columns.append(_states(whole, phase, columns[-1] if columns else None))
         time = phase.end
+    if len(impacts) == len(phases):
+        columns.append(_end_state(whole, phases[-1], impacts[-1], columns[-1]))
     content = {
         name: np.concatenate([block[name] for block in columns])
         for name in State.__dataclass_fields__
@@ -157,28 +159,17 @@ def chain(*parts: Any) -> Chain:
 
 def _stop_impacts(whole: System, phases: Sequence[Phase]) -> ImpactTable:
     """Return the impacts at joint stops in all phases, at times of the chain."""
-    columns = {entry.name: list[Any]() for entry in fields(ImpactTable)}
+    tables = list[ImpactTable]()
     for phase in phases:
         for traj, prefix in zip(phase.motions, phase.prefixes, strict=True):
             table = traj.impacts
-            momenta = table.momentum_before, table.momentum_after
+            names = tuple(prefix + joint for joint in table.joint)
+            table = replace(table, t=table.t + phase.start, joint=names)
             if traj.system.group is not whole.group:  # as in the stance of a landing
-                momenta = (np.full((len(table), whole.r), np.nan),) * 2
-            columns["t"] += (table.t + phase.start).tolist()
-            columns["joint"] += [prefix + joint for joint in table.joint]
-            columns["momentum_before"] += list(momenta[0])
-            columns["momentum_after"] += list(momenta[1])
-            for name in ("side", "impulse", "rate_before", "rate_after", "energy_lost"):
-                columns[name] += list(getattr(table, name))
-    order = np.argsort(columns["t"], kind="stable")
-    whole_table = {name: [values[k] for k in order] for name, values in columns.items()}
-    joint, side = tuple(whole_table.pop("joint")), tuple(whole_table.pop("side"))
-    shapes = {"momentum_before": (len(joint), whole.r), "momentum_after": (len(joint), whole.r)}
-    arrays = {
-        name: np.array(values, float).reshape(shapes.get(name, (len(joint),)))
-        for name, values in whole_table.items()
-    }
-    return ImpactTable(joint=joint, side=side, **arrays)
+                unknown = np.full((len(table), whole.r), np.nan)
+                table = replace(table, momentum_before=unknown, momentum_after=unknown)
+            tables.append(table)
+    return joined_tables(tables)
 
 
 def _ordered(
@@ -203,12 +194,9 @@ def _ordered(
             impacts.append(pending)
         motions.append(moving)
         pending = None
-    if pending is not None or not motions:
-        raise InputError(
-            "chain: expected a motion at the end; simulate(capture.system, **capture.start) "
-            "returns the one after a capture"
-        )
-    return motions, tuple(impacts)
+    if not motions:
+        raise InputError("chain: expected a motion, got nothing. Pass the trajectories of simulate")
+    return motions, (*impacts, *([] if pending is None else [pending]))
 
 
 def _whole(motions: Sequence[Sequence[Trajectory]], impacts: Sequence[Impact | None]) -> System:
@@ -295,16 +283,49 @@ def gap(a: Sequence[Moving], b: Sequence[Moving]) -> float:
     )
 
 
+def _after(whole: System, before: Phase, impact: Impact) -> list[Moving]:
+    """Return the systems with their states after an impact at the end of a phase.
+
+    Args:
+        whole: System of the chain.
+        before: The phase.
+        impact: The impact.
+    Raises:
+        InputError: The phase does not end in the state before the impact.
+    """
+    ends, starts = parts_of(whole, impact)
+    if gap(before.parts(before.end), ends) > _FITTING:
+        raise InputError(
+            f"chain: the {type(impact).__name__} at t = {before.end:g} s does not have the state "
+            "at which the motion before it ends. Pass this motion to it"
+        )
+    return starts
+
+
+def _end_state(
+    whole: System, phase: Phase, impact: Impact | None, before: dict[str, Array]
+) -> dict[str, Array]:
+    """Return the state after an impact with which a chain ends, by field, (1, …)."""
+    assert impact is not None
+    parts = _after(whole, phase, impact)
+    transfer = Transfer([part.system for part in parts], [part.prefix for part in parts], whole)
+    state = _continued(whole, transfer(parts), (before["pose"][-1], before["x"][-1]))
+    lost = 0.0 if isinstance(impact, Release) else impact.energy_lost
+    values = _fields(whole, state, before["energy"][-1] - lost)
+    t = np.nextafter(before["t"][-1], np.inf)
+    return {name: np.array([value]) for name, value in (values | {"t": t}).items()}
+
+
 def _check_fit(whole: System, before: Phase, impact: Impact | None, after: Phase) -> None:
     """Reject phases that do not fit to the impact between them."""
-    end, start = before.parts(before.end), after.parts(after.start)
-    ends, starts = (start, end) if impact is None else parts_of(whole, impact)
+    # An impact at a stop may follow at once, so the states count from which the motions start.
+    end = before.parts(before.end)
+    start = [
+        Moving(traj.system, moment_of(traj.scene, "chain")[1], prefix)
+        for traj, prefix in zip(after.motions, after.prefixes, strict=True)
+    ]
     what = "the motion before" if impact is None else f"the {type(impact).__name__}"
-    if impact is not None and gap(end, ends) > _FITTING:
-        raise InputError(
-            f"chain: {what} at t = {before.end:g} s does not have the state at which the motion "
-            "before it ends. Pass this motion to it"
-        )
+    starts = end if impact is None else _after(whole, before, impact)
     if gap(starts, start) > _FITTING:
         raise InputError(
             f"chain: the motion at t = {after.start:g} s does not start where {what} ends. "
@@ -333,17 +354,21 @@ def _states(whole: System, phase: Phase, before: dict[str, Array] | None) -> dic
         ]
         state = _continued(whole, transfer(parts), last)
         last = state.pose, state.x
-        mu = (mass_matrix(whole, state) @ np.concatenate([state.xi, state.xdot]))[: whole.r]
-        values = {
-            "x": state.x, "xdot": state.xdot, "xi": state.xi, "pose": state.pose,
-            "q": whole.q(state.pose, state.x), "v": whole.v(state.xi, state.xdot),
-            "body_momentum": mu,
-            "spatial_momentum": whole.group.spatial_momentum(state.pose, mu),
-            "energy": np.sum([s.energy[k] for s in states]),
-        }  # fmt: skip
-        for name, value in values.items():
+        energy = float(np.sum([s.energy[k] for s in states]))
+        for name, value in _fields(whole, state, energy).items():
             rows[name].append(value)
     return {**{name: np.array(values) for name, values in rows.items() if name != "t"}, "t": t}
+
+
+def _fields(whole: System, state: Instant, energy: float) -> dict[str, Any]:
+    """Return the fields of a State except its time, with the energy [J]."""
+    mu = (mass_matrix(whole, state) @ np.concatenate([state.xi, state.xdot]))[: whole.r]
+    return {
+        "x": state.x, "xdot": state.xdot, "xi": state.xi, "pose": state.pose,
+        "q": whole.q(state.pose, state.x), "v": whole.v(state.xi, state.xdot),
+        "body_momentum": mu, "spatial_momentum": whole.group.spatial_momentum(state.pose, mu),
+        "energy": energy,
+    }  # fmt: skip
 
 
 def _continued(whole: System, state: Instant, last: tuple[Array, Array] | None) -> Instant:

@@ -36,7 +36,15 @@ from ...system.derived_systems import (
 )
 from ...system.joints import axes_of
 from ...system.system import System
-from .capture import Moment, _AfterImpact, in_words, jacobian, mass_matrix, moment_of
+from .capture import (
+    Moment,
+    _AfterImpact,
+    closed_velocities,
+    in_words,
+    jacobian,
+    mass_matrix,
+    moment_of,
+)
 
 Contact: TypeAlias = Literal["point", "flat"]
 CONTACTS: tuple[Contact, ...] = ("point", "flat")
@@ -147,7 +155,6 @@ def land(
         normal (SO2), if gravity does not turn it.
     Raises:
         InputError: A frame is unknown or stated twice, or the contact is not valid.
-        UnsupportedOperationError: The robot has closed loops.
     """
     if not one_of(contact, CONTACTS):
         raise InputError(f"contact: expected {' or '.join(CONTACTS)}, got {brief(contact)}")
@@ -162,12 +169,14 @@ def land(
         R = data.oMi[place.joint].rotation @ place.on_joint.rotation
         J.append(np.kron(np.eye(rows // 3), R) @ jacobian(system, place, before)[:rows])
     H, v = mass_matrix(system, before), np.concatenate([before.xi, before.xdot])
-    # In w = Lᵀ v with H = L Lᵀ, the impact is the orthogonal projection off the columns of L⁻¹ Jᵀ.
-    L = np.linalg.cholesky(H)
-    U, s, Vt = np.linalg.svd(np.linalg.solve(L, np.vstack(J).T), full_matrices=False)
+    N = closed_velocities(system, before.x)
+    # In w = Lᵀ u with v = N u and NᵀHN = L Lᵀ, the impact is the orthogonal projection off the
+    # columns of L⁻¹ (J N)ᵀ.
+    L = np.linalg.cholesky(N.T @ H @ N)
+    U, s, Vt = np.linalg.svd(np.linalg.solve(L, (np.vstack(J) @ N).T), full_matrices=False)
     rank = int((s > _RANK * s[0]).sum())
-    stopped = U[:, :rank].T @ (L.T @ v)
-    jump = -np.linalg.solve(L.T, U[:, :rank] @ stopped)
+    stopped = U[:, :rank].T @ (L.T @ (N.T @ v))
+    jump = -N @ np.linalg.solve(L.T, U[:, :rank] @ stopped)
     impulse = -(Vt[:rank].T @ (stopped / s[:rank])).reshape(len(frames), rows)
     r = system.r
     momentum, change = (system.group.spatial_momentum(before.pose, (H @ u)[:r]) for u in (v, jump))

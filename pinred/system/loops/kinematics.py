@@ -118,10 +118,23 @@ def loop_ends(model: pin.Model, loop: Loop) -> tuple[LoopEnd, LoopEnd]:
 
 
 def _find_end(model: pin.Model, name: str) -> LoopEnd:
+    frame = model.frames[find_frame(model, name)]
+    return LoopEnd(int(frame.parentJoint), frame.placement.copy())
+
+
+def find_frame(model: pin.Model, name: str) -> int:
+    """Return the index of the frame that a loop names; links take precedence.
+
+    Args:
+        model: Pinocchio model.
+        name: Name of a link or frame.
+    Raises:
+        InputError: The frame is unknown, or its name is ambiguous.
+    """
     for kind in _TYPES:
-        matches = [f for f in model.frames if f.name == name and f.type == kind]
+        matches = [k for k, f in enumerate(model.frames) if f.name == name and f.type == kind]
         if len(matches) == 1:
-            return LoopEnd(int(matches[0].parentJoint), matches[0].placement.copy())
+            return matches[0]
         if matches:
             raise InputError(f"loops: the robot has {len(matches)} frames {quoted(name)}")
     links = [str(f.name) for f in model.frames if f.type == pin.FrameType.BODY]

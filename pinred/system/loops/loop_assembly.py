@@ -87,7 +87,10 @@ def loop_gaps(system: LoopedSystem, x: Array, length: float) -> Array:
 
 
 def assemble_from_any(system: LoopedSystem, length: float) -> Array:
-    """Assemble from the initial shape, the keyframes, the zero shape, or random shapes, in turn.
+    """Assemble from known shapes, the zero shape, or random shapes, in turn.
+
+    Known are the initial shape, the keyframes, and the closed shapes of the robots of which the
+    system was made.
 
     Args:
         system: The system.
@@ -100,6 +103,12 @@ def assemble_from_any(system: LoopedSystem, length: float) -> Array:
     rng, best, fewest = np.random.default_rng(0), None, np.inf
     starts = [] if system.initial is None else [system.initial.x]
     starts += [keyframe.x for keyframe in system.keyframes.values()]
+    derivation = None if system.origin is None else system.origin.derivation
+    if derivation is not None and derivation.closed:
+        x = system.space.neutral.copy()
+        for joint in system.space.joints:
+            x[joint.x] = derivation.closed.get(joint.name, x[joint.x])
+        starts.append(x)
     starts.append(system.space.neutral)
     units = rate_units(system, length)
     for k in range(1, _STARTS):

@@ -13,7 +13,7 @@ from ...common.arrays import Array, FrozenArrays
 from ...lie.group import Group
 from ..coordinates import InitialState, ShapeSpace
 from ..coupling import Coupled
-from ..robot_file_contents import Keyframe
+from ..robot_file_contents import Keyframe, Origin
 from .kinematics import LoopKinematics
 from .loop import Constraint
 
@@ -73,6 +73,9 @@ class LoopedSystem(Protocol):
 
     @property
     def initial(self) -> InitialState | None: ...  # noqa: D102
+
+    @property
+    def origin(self) -> Origin | None: ...  # noqa: D102
 
     @property
     def keyframes(self) -> Mapping[str, Keyframe]: ...  # noqa: D102

@@ -5,9 +5,10 @@ from __future__ import annotations
 import faulthandler
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from importlib import import_module
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -60,13 +61,25 @@ class DrakeModel:
     representation in Drake. Velocities of the base are expressed in fixed axes.
     """
 
-    def __init__(self, system: System) -> None:
-        """Build the plant."""
+    def __init__(
+        self,
+        system: System,
+        step: float = 0.0,
+        limits: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+    ) -> None:
+        """Build the plant.
+
+        Args:
+            system: The system.
+            step: Step of Drake's discrete solver [s]; 0 for a continuous plant.
+            limits: Lower and upper stops of joints by name [rad | m], which only the discrete
+                solver respects.
+        """
         self.system = system
         self._m = system.m
         tree = import_module("pydrake.multibody.tree")
         math = import_module("pydrake.math")
-        self.plant = import_module("pydrake.multibody.plant").MultibodyPlant(time_step=0.0)
+        self.plant = import_module("pydrake.multibody.plant").MultibodyPlant(time_step=step)
         plant, model = self.plant, system.model
         plant.mutable_gravity_field().set_gravity_vector(system.gravity)
         data = model.createData()
@@ -83,6 +96,8 @@ class DrakeModel:
                 frame, S = self._add_slides(tree, frame, S)
             ends = (f"joint{i}", frame, body.body_frame())
             joint = plant.AddJoint(self._joint(tree, S, ends))
+            if (name := str(model.names[i])) in limits:
+                joint.set_position_limits(*([value] for value in limits[name]))
             armature = float(model.armature[model.joints[i].idx_v])
             if armature:
                 plant.AddJointActuator(f"rotor{i}", joint).set_default_rotor_inertia(armature)
