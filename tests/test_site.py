@@ -15,13 +15,13 @@ from pathlib import Path
 import pytest
 import site_pages
 from api_index import public_names
+from headless_browser import Browser
 from site_pages_in_browser import broken_links, faults_in_browser
 
 import pinred
 from pinred import plots
 from pinred.cli import main
 from pinred.system.catalogue import has_example_robots
-from pinred.views.playback.headless_browser import Browser
 
 pytest.importorskip("myst_parser")
 pytest.importorskip("furo")

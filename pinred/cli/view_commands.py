@@ -192,7 +192,7 @@ def add_play_arguments(sub: argparse.ArgumentParser) -> None:
     add("--port P", "port of the web server (default: a free one)", int)
     add("--no-open", "do not open the browser")
     add("--out FILE", "write FILE.html, .rrd (for rerun), .mp4, .gif or .png instead of playing")
-    add("--fps F", "frames per second (default: 60; films 30)", float)
+    add("--fps F", "frames per second (default: 60; films 25)", float)
 
 
 def run_play(arguments: argparse.Namespace) -> int:

@@ -187,7 +187,7 @@ def save_film(
     Returns:
         Number of frames.
     Raises:
-        InputError: An option is invalid, or Chromium or ffmpeg is not installed.
+        InputError: An option is invalid, or ffmpeg is not installed.
         OutputError: Rendering or writing fails.
     """
     from .playback.film import save_film as write

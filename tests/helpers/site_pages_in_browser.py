@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from pinred.views.playback.headless_browser import Browser
+from headless_browser import Browser
 
 # Content beyond the width of the window, pictures without pixels, formulas that stayed LaTeX,
 # and elements whose content is cut off.

@@ -265,6 +265,3 @@ def test_invalid_films_are_rejected_before_rendering(
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     refused(r"apt-get install ffmpeg, or pip install \"pinred\[film\]\"", "film.mp4")
-    refused("apt-get install chromium", "film.gif")
-    monkeypatch.setenv("PINRED_BROWSER", "netscape")
-    refused("PINRED_BROWSER is 'netscape'", "film.gif")
