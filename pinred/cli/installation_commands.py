@@ -62,7 +62,7 @@ def run_doctor(arguments: argparse.Namespace) -> int:  # noqa: ARG001
 
 
 def examine() -> Iterator[Finding]:
-    """Yield the findings: versions, CPU, cache, browser, and the packages of the extras."""
+    """Yield the findings: versions, CPU, cache, and the packages of the extras."""
     yield Finding("pinred", "ok", __version__)
     system = f"{platform.python_version()}, {platform.system()} {platform.machine()}"
     yield Finding("Python", "ok", system)
