@@ -28,7 +28,9 @@ for cell in (
     "pinred.simulate(cat, forces=[Controller(law, period=0.1)], duration=1.0)",
     "print('frames', len(traceback.extract_tb(sys.last_traceback)))",
     "from unittest.mock import patch; import pinred.simulation.simulate as own",
-    "with patch.object(own, 'as_scene', int):\\n    pinred.simulate(cat, duration=1.0)",
+    "def call(*_):\\n    with patch.object(own, 'as_scene', int):\\n        own.simulate(cat)",
+    "call()",
+    "pinred.simulate(cat, forces=[Controller(call, period=0.1)], duration=1.0)",
 ):
     print("CELL")
     shell.run_cell(cell)
@@ -65,7 +67,7 @@ def test_tracebacks_in_notebooks_end_at_the_call() -> None:
 
 def test_exceptions_of_users_functions_show_no_frames_between() -> None:
     """The call, the function and what it calls; a fault of pinred itself has all frames."""
-    *_, thrown, frames, _, fault = run_session()
+    *_, thrown, frames, _, _, fault, fault_below = run_session()
     assert "pinred/" not in thrown
     assert "<checks" not in thrown
     assert "----> 1 pinred.simulate(cat, forces=[Controller(law" in thrown
@@ -73,13 +75,15 @@ def test_exceptions_of_users_functions_show_no_frames_between() -> None:
     assert "fractions.py" in thrown
     assert "ZeroDivisionError: Fraction(1, 0)" in thrown
     assert int(frames.split()[1]) >= 6  # a debugger sees all frames
-    assert "pinred/simulation/simulate.py" in fault
-    assert "TypeError" in fault
+    for text in (fault, fault_below):  # a user's function calls pinred in the second
+        assert "pinred/simulation/simulate.py" in text
+        assert "TypeError" in text
+    assert "pinred/simulation/control.py" in fault_below
 
 
 def test_environment_variable_restores_all_frames() -> None:
     """Also of the error that the first error replaces."""
-    _, simple, _, wrong_kind, *_, thrown, _, _, _ = run_session(PINRED_TRACEBACK="1")
+    _, simple, _, wrong_kind, *_, thrown, _, _, _, _, _ = run_session(PINRED_TRACEBACK="1")
     assert "pinred/simulation/simulate.py" in simple
     assert wrong_kind.count("Traceback (most recent call last)") >= 1
     assert "<checks" in wrong_kind
