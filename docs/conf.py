@@ -13,7 +13,10 @@ from pinred.common.version import __version__  # noqa: E402
 
 project, author, copyright = "pinred", "The pinred authors", "2026, the pinred authors"  # noqa: A001
 version = release = __version__
-extensions = ["myst_parser", "sphinx_copybutton", "github_markdown", "mathml", "generated_pages"]
+extensions = [
+    *("myst_parser", "sphinx_copybutton", "github_markdown", "mathml", "generated_pages"),
+    "narrow_tables",
+]
 copybutton_prompt_text = "$ "  # is not copied
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["builder"]

@@ -19,10 +19,10 @@ os.environ["PINRED_QUIET"] = "1"  # read when pinred is imported
 
 import pytest
 from compile_ahead import compile_ahead
+from headless_browser import Browser, browser, find_browser
 from hypothesis import settings
 
 import pinred
-from pinred.views.playback.headless_browser import Browser, browser, find_browser
 
 _MANY = 1000  # number of tests of a run that needs most integrators
 # The default run uses the same examples every time, so that no test fails by chance.

@@ -15,13 +15,13 @@ from pathlib import Path
 import pytest
 import site_pages
 from api_index import public_names
+from headless_browser import Browser
 from site_pages_in_browser import broken_links, faults_in_browser
 
 import pinred
 from pinred import plots
 from pinred.cli import main
 from pinred.system.robot_files import has_example_robots
-from pinred.views.playback.headless_browser import Browser
 
 pytest.importorskip("myst_parser")
 pytest.importorskip("furo")
@@ -69,7 +69,7 @@ def test_pages_have_no_faults_in_a_browser(tmp_path: Path, screen: Browser) -> N
     """No page loads from the network, fails, lacks a picture or is wider than the window."""
     build(tmp_path)
     for page in sorted(tmp_path.rglob("*.html")):
-        for width in (1280, 390):
+        for width in (1440, 400):
             assert faults_in_browser(screen, page, width) == [], (page.name, width)
 
 
@@ -80,12 +80,14 @@ def test_faults_of_a_page_are_found(tmp_path: Path, screen: Browser) -> None:
         '<h1 id="top">A</h1><p>$x$</p><div style="width: 2000px">wide</div><img src="no.png">'
         '<p style="width: 2em">unbreakablyLongWordOfAPage</p><a href="b.html">b</a>'
         '<a href="#top">top</a><a href="#end">end</a><script>throw Error("e")</script>'
+        '<table style="display: block; width: 2em; overflow: auto"><td>unbreakable</td></table>'
     )
     page = tmp_path / "page.html"
     page.write_text(f"<!doctype html><article>{body}</article>", "utf-8")
     assert broken_links(tmp_path) == ["page.html: #end", "page.html: b.html"]
     faults = faults_in_browser(screen, page, 390)
     starts = ("wider than", "broken picture", "text is wider", "text that is", "script fails")
+    starts = (*starts, "table scrolls")
     for start in starts:
         assert sum(fault.startswith(start) for fault in faults) == 1, (start, faults)
 
@@ -208,6 +210,24 @@ def test_new_page_is_listed(tmp_path: Path) -> None:
         (tmp_path / f"{name}.md").write_text(f"# {name}\n", "utf-8")
     assert unlisted_pages(tmp_path) == ["sweeps"]
     assert "<!-- pages that are not listed -->" in (DOCS / "index.md").read_text("utf-8")
+
+
+def test_cells_of_wide_tables_have_the_headings_of_their_columns() -> None:
+    """Of tables with four columns; empty cells have none, and narrow tables stay as they are."""
+    from narrow_tables import label_cells
+
+    def table(columns: int, cells: str) -> str:
+        heads = "".join(f'<th class="head"><p>a &lt; <em>{k}</em></p></th>' for k in range(columns))
+        body = f"<tbody><tr>{cells}</tr></tbody>"
+        return f'<table class="docutils x"><thead><tr>{heads}</tr></thead>{body}</table>'
+
+    narrow = table(3, "<td>1</td><td></td><td>3</td>")
+    assert label_cells(narrow) == narrow
+    cells = '<td>1</td><td class="q"><p></p></td><td>3</td><td>4</td>'
+    shown = label_cells(f"<p>{table(4, cells)}")
+    assert shown.count('class="stacks docutils x"') == 1
+    assert '<td data-label="a &lt; 0">1</td><td data-blank="" class="q">' in shown
+    assert '<td data-label="a &lt; 3">4</td>' in shown
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def shrink(path: Path, width: int = 1200) -> None:
     if image.width > width:
         height = round(image.height * width / image.width)
         image = image.resize((width, height), Image.Resampling.LANCZOS)
-    image.quantize(96, dither=Image.Dither.NONE).save(path, optimize=True)
+    image.quantize(224, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 def main() -> None:

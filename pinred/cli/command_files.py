@@ -139,11 +139,11 @@ def show_motion(
         show: Whether to open the browser.
     """
     if out is None:
-        from ..views.playback.play_in_viewer import play_in_viewer
-        from ..views.playback.viewers import VIEWER
+        from ..views.motions import play_view
+        from ..views.playback.view_options import VIEWER
 
         name = viewer or VIEWER
-        play_in_viewer(motion, view, viewer=name, port=port, show=show, wait=True)
+        play_view(motion, view, viewer=name, port=port, show=show, wait=True)
     elif out.suffix == ".html":
         from ..views.playback.page import save_html
 

@@ -62,7 +62,7 @@ def run_doctor(arguments: argparse.Namespace) -> int:  # noqa: ARG001
 
 
 def examine() -> Iterator[Finding]:
-    """Yield the findings: versions, CPU, cache, browser, and the packages of the extras."""
+    """Yield the findings: versions, CPU, cache, and the packages of the extras."""
     yield Finding("pinred", "ok", __version__)
     system = f"{platform.python_version()}, {platform.system()} {platform.machine()}"
     yield Finding("Python", "ok", system)
@@ -73,7 +73,6 @@ def examine() -> Iterator[Finding]:
     for subject, check in (("CPU", _check_cpu), ("machine code", _check_machine_code)):
         yield _guard(subject, check)
     yield _guard("cache", _check_cache)
-    yield _check_browser()
     for extra in dict.fromkeys(requirement.extra for requirement in requirements):
         if extra and extra not in _GROUPS:
             yield _check_extra(extra, [r for r in requirements if r.extra == extra])
@@ -173,15 +172,6 @@ def _check_cache() -> str:
     entries = cache.entries()
     size = sum(entry.size for entry in entries) / 1e6
     return f"{len(entries)} compiled objects, {size:.2f} MB, in {Path(cache.folder)}"
-
-
-def _check_browser() -> Finding:
-    from ..views.playback.headless_browser import find_browser
-
-    try:
-        return Finding("browser", "ok", find_browser())
-    except PinredError as error:
-        return Finding("browser", "missing", f"only films need it: {error}")
 
 
 _LISTED = 20  # largest number of objects that are listed

@@ -51,7 +51,7 @@ def add_bench_arguments(sub: argparse.ArgumentParser) -> None:
     add("floquet", "Floquet multipliers by three routes against a closed form")
     add("compare", "time of comparisons, and of one integration by ABA", "scenes", "all installed")
     add("first", "first calls with empty caches: shipped code, and compilation", "calls", "all")
-    add("films", "time of a film's frame, compared with a screenshot", "robots", "four")
+    add("films", "processor time of a film's frame", "robots", "four")
     add("loops", "gaps of closed loops in MuJoCo, whose constraints are soft, and in pinred")
     text = "joint stops of MuJoCo, which are soft, of Drake's discrete solver, and of pinred"
     add("stops", text)
@@ -96,7 +96,7 @@ def run_bench(arguments: argparse.Namespace) -> int:
 
 def _run_films(arguments: argparse.Namespace, folder: Path | None) -> int:
     """Measure films, which the laboratory cannot, because it draws nothing.  Returns 0."""
-    from ..views.playback.film_timing import FilmTiming, bench_films
+    from ..views.playback.film import FilmTiming, bench_films
 
     timings = bench_films(arguments.robots, progress=True)
     print("\n".join([FilmTiming.header(), *map(str, timings)]))

@@ -37,6 +37,9 @@ from ..simulation.simulate import simulate
 from ..simulation.simulate_many import simulate_many
 from ..system.load import load
 from ..system.system import System
+from ..views.playback.film import SIZE
+from ..views.playback.film_frames import Frames
+from ..views.playback.view_options import FILM_FPS, View
 from .warm_caches import warm_caches
 
 _PASSES = 5  # limit on the number of processes
@@ -142,6 +145,7 @@ def _calls(system: System) -> Iterator[Callable[[], Any]]:
         yield partial(_derivatives, system, method)
     yield lambda: compare(simulate(system, seed=1, duration=_DURATION))
     yield partial(_uncommon, system)
+    yield partial(_film, system)
     if find_spec("jax") is not None:
         yield partial(_jax_gradient, system)
 
@@ -170,6 +174,12 @@ def _uncommon(system: System) -> Any:
         simulate_many(system, seeds=range(8), times=[_DURATION]).x,
         phase(system, Gait.waypoints(corners)),
     )
+
+
+def _film(system: System) -> Any:
+    """Draw a frame of a film."""
+    traj = simulate(system, seed=1, duration=_DURATION)
+    return Frames(traj, View(fps=FILM_FPS), SIZE).draw(0.0)
 
 
 def _jax_gradient(system: System) -> Any:

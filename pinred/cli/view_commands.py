@@ -173,7 +173,7 @@ def _motion_of_robot(arguments: argparse.Namespace) -> Trajectory:
 
 def add_play_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    from ..views.playback.viewers import VIEWER, VIEWERS
+    from ..views.playback.view_options import VIEWER, VIEWERS
 
     text = "motion traj.npz, scene file (.toml), or a robot, which is shown at rest"
     sub.add_argument("motion", metavar="MOTION", help=text)
@@ -190,13 +190,12 @@ def add_play_arguments(sub: argparse.ArgumentParser) -> None:
     add("--port P", "port of the web server (default: a free one)", int)
     add("--no-open", "do not open the browser")
     add("--out FILE", "write FILE.html, .rrd (for rerun), .mp4, .gif or .png instead of playing")
-    add("--fps F", "frames per second (default: 60; films 30)", float)
+    add("--fps F", "frames per second (default: 60; films 25)", float)
 
 
 def run_play(arguments: argparse.Namespace) -> int:
     """Play or write the motion.  Returns 0."""
-    from ..views.playback.view_options import View, default_fps
-    from ..views.playback.viewers import PAGES
+    from ..views.playback.view_options import PAGES, View, default_fps
 
     _check(arguments)
     pair = None if arguments.pair is None else tuple(arguments.pair.split(","))
@@ -241,7 +240,7 @@ def _at_rest(robot: str, meshes: list[str] | None) -> MotionSource:
 
 def _check(arguments: argparse.Namespace) -> None:
     """Raise InputError for an unsupported kind of motion, or for an option without effect."""
-    from ..views.playback.viewers import PAGES
+    from ..views.playback.view_options import PAGES
 
     check_robot(arguments.motion, arguments.robot)
     if arguments.out is not None and arguments.port is not None:

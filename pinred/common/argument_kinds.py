@@ -35,7 +35,7 @@ from typing import Any, ForwardRef, Literal, TypeVar, Union, get_args, get_origi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import InputError, PinredError, ShapeError
+from .errors import InputError, PinredError, ShapeError, hide_frames_between
 from .names import brief, nearest, plain, quoted
 
 _LARGEST = int(np.finfo(float).max)
@@ -153,9 +153,11 @@ def _checked(function: Callable[..., Any], owner: type | None) -> Callable[..., 
     ]
     body = f"_function_({passed})"
     reject = f"    if wrong_ is not None:\n        with _rejected_(wrong_): {body}"
-    lines = [f"def call({declared}):", "    wrong_ = None", *tests, reject, f"    return {body}"]
+    run = f"    try: return {body}"
+    hide = "    except Exception as error_:\n        _hide_(error_)\n        raise"
+    lines = [f"def call({declared}):", "    wrong_ = None", *tests, reject, run, hide]
     values: dict[str, Any] = {"_types_": checks.types, "_check_": checks.check, "_empty_": ()}
-    values["__name__"] = __name__
+    values |= {"__name__": __name__, "_hide_": hide_frames_between}
     values |= {"_array_": np.ndarray, "_rejected_": _rejected, "_function_": function}
     exec(compile("\n".join(lines), f"{_SOURCE} of {function.__qualname__}>", "exec"), values)
     call: Callable[..., Any] = wraps(function)(values["call"])

@@ -10,8 +10,9 @@ import re
 import sys
 import sysconfig
 from collections.abc import Mapping
-from functools import cache
-from types import TracebackType
+from contextlib import suppress
+from functools import cache, partial
+from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -40,20 +41,89 @@ def shorten_message(text: str) -> str:
     return f"{text[: half - 1]}…{text[-half:]}"
 
 
+def _is_of_pinred(frame: FrameType) -> bool:
+    name: str = frame.f_globals.get("__name__", "")
+    return name.partition(".")[0] == __name__.partition(".")[0]
+
+
 def _frames_of_users(traceback: TracebackType | None) -> TracebackType | None:
-    """Return a traceback without the frames of pinred, and those of libraries that pinred calls."""
+    """Return a traceback without the frames of pinred, and those of libraries that pinred calls.
+
+    What a user's function calls that pinred has called is shown.
+    """
     entries, is_inside = [], False
     while traceback is not None:
         frame = traceback.tb_frame
-        if frame.f_globals.get("__name__", "").partition(".")[0] == __name__.partition(".")[0]:
+        if _is_of_pinred(frame):
             is_inside = True
-        elif not (is_inside and _is_of_library(frame.f_code.co_filename)):
+        elif not _is_of_library(frame.f_code.co_filename):
+            is_inside = False
+            entries.append(traceback)
+        elif not is_inside:
             entries.append(traceback)
         traceback = traceback.tb_next
     shown: TracebackType | None = None
     for entry in reversed(entries):
         shown = TracebackType(shown, entry.tb_frame, entry.tb_lasti, entry.tb_lineno)
     return shown
+
+
+def hide_frames_between(error: BaseException) -> None:
+    """Let notebooks show no frames of pinred between a user's call and a user's function.
+
+    The exception of a user's function passes through pinred unchanged.  One that pinred or its
+    libraries raise themselves keeps all frames, because it is a fault of pinred.
+
+    Args:
+        error: An exception that a public callable raises.
+    """
+    if "IPython" not in sys.modules or hasattr(error, "_render_traceback_"):
+        return
+    is_users, traceback = False, error.__traceback__
+    while traceback is not None:
+        frame = traceback.tb_frame
+        if _is_of_pinred(frame):
+            is_users = False
+        elif not _is_of_library(frame.f_code.co_filename):
+            is_users = True
+        traceback = traceback.tb_next
+    if is_users:
+        with suppress(AttributeError):  # of an exception with __slots__
+            vars(error)["_render_traceback_"] = partial(render_traceback, error)
+
+
+def render_traceback(raised: BaseException) -> list[str]:
+    """Return the traceback that notebooks and IPython show, with the frames of users only.
+
+    The exception keeps its traceback, so `%debug` sees all frames.  With the environment variable
+    PINRED_TRACEBACK, with any value, all are shown.
+
+    Args:
+        raised: The exception.
+    Returns:
+        Lines.
+    """
+    show = sys.modules["IPython"].get_ipython().InteractiveTB.structured_traceback
+    if "PINRED_TRACEBACK" in os.environ:
+        return list(show(type(raised), raised, raised.__traceback__))
+    error: BaseException | None = raised
+    changed = []
+    while error is not None:
+        context = None if error.__suppress_context__ else error.__context__
+        link = error.__cause__ or context
+        if link is not None:
+            state = error.__cause__, error.__suppress_context__, link.__traceback__
+            changed.append((error, link, state))
+            link.__traceback__ = _frames_of_users(link.__traceback__)
+            if link.__traceback__ is None:  # The message of the error says what happened.
+                error.__cause__ = None
+        error = link
+    try:
+        return list(show(type(raised), raised, _frames_of_users(raised.__traceback__)))
+    finally:
+        for error, link, (cause, suppresses, traceback) in changed:
+            link.__traceback__ = traceback
+            error.__cause__, error.__suppress_context__ = cause, suppresses
 
 
 @cache
@@ -77,32 +147,8 @@ class PinredError(Exception):
         super().__init__(*(shorten_message(arg) if isinstance(arg, str) else arg for arg in args))
 
     def _render_traceback_(self) -> list[str]:
-        """Return the traceback that notebooks and IPython show; it ends at the user's call.
-
-        Other programs do not call this method.  The error keeps its traceback, so `%debug` sees all
-        frames.  With the environment variable PINRED_TRACEBACK, with any value, all are shown.
-        """
-        show = sys.modules["IPython"].get_ipython().InteractiveTB.structured_traceback
-        if "PINRED_TRACEBACK" in os.environ:
-            return list(show(type(self), self, self.__traceback__))
-        error: BaseException | None = self
-        changed = []
-        while error is not None:
-            context = None if error.__suppress_context__ else error.__context__
-            link = error.__cause__ or context
-            if link is not None:
-                state = error.__cause__, error.__suppress_context__, link.__traceback__
-                changed.append((error, link, state))
-                link.__traceback__ = _frames_of_users(link.__traceback__)
-                if link.__traceback__ is None:  # The message of the error says what happened.
-                    error.__cause__ = None
-            error = link
-        try:
-            return list(show(type(self), self, _frames_of_users(self.__traceback__)))
-        finally:
-            for error, link, (cause, suppresses, traceback) in changed:
-                link.__traceback__ = traceback
-                error.__cause__, error.__suppress_context__ = cause, suppresses
+        """Return the traceback of notebooks, which ends at the user's call; others do not ask."""
+        return render_traceback(self)
 
 
 class LoadError(PinredError):

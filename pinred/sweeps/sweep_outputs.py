@@ -83,7 +83,8 @@ class Measure:
 
     Attributes:
         kind: A name in MEASURES.
-        entry: Index of a joint, or of a coordinate of a position; None for the largest or for all.
+        entry: Index of a joint, or of a coordinate of a position or of the rotation vector of a
+            turn; None for the largest, for all coordinates or for the angle of a turn.
         frame: Name of the frame whose position is stored.
         joint: Name of the joint whose impacts count; "" for all.
     """
@@ -108,7 +109,10 @@ class Measure:
         group, pose = many.system.group, many.fields(["pose"])["pose"]
         if group.turns == 1:
             return np.asarray(np.rad2deg(pose[:, -1, -1] - pose[:, 0, -1]))
-        return np.asarray(np.rad2deg(group.error(pose[:, 0], pose[:, -1]).rotation))
+        if self.entry is None:
+            return np.asarray(np.rad2deg(group.error(pose[:, 0], pose[:, -1]).rotation))
+        moved = group.compose(group.inverse(pose[:, 0]), pose[:, -1])
+        return np.asarray(np.rad2deg(group.log(moved)[:, group.linear :]))
 
     def _excursion(self, many: Trajectories) -> Array:
         space, x = many.system.space, many.fields(["x"])["x"]
@@ -192,8 +196,11 @@ def _measure(scene: Scene, name: str, text: str) -> Output | None:
     system, what = scene.system, f"outputs: {quoted(name)}"
     if kind in ("turn", "position") and scene.outputs != "all":
         raise InputError(f"{what}: the scene has outputs='shape', which leaves out the base")
-    if kind == "turn" and (not system.group.turns or label is not None):
-        raise InputError(f"{what}: expected turn without an entry, of a base that can turn")
+    if kind == "turn" and (not system.group.turns or (label and system.group.turns < 3)):
+        raise InputError(
+            f"{what}: expected turn, of a base that can turn, with an entry x, y or z only if it "
+            f"turns in space; the group is {system.group.name}"
+        )
     frames = [str(entry.name) for entry in system.model.frames]
     if frame and frame not in frames:
         raise InputError(
@@ -210,7 +217,7 @@ def _measure(scene: Scene, name: str, text: str) -> Output | None:
             raise InputError(f"{what}: {quoted(system.name)} has no joints")
         is_torque = kind == "peak_torque"
         units = [("N" if unit == "m" else "N·m") if is_torque else unit for unit in system.units]
-    if label is not None and kind == "position":
+    if label is not None and kind in ("position", "turn"):
         entry = component_index(label, {"x": 0, "y": 1, "z": 2}, what)
     elif label is not None:
         entry = joint_index(label, system.shape_names, what)

@@ -11,8 +11,7 @@ from ..common.argument_kinds import checks_arguments, shows_fields
 from ..common.errors import InputError
 from ..system.system import System
 from .motion_source import MotionSource
-from .playback.view_options import FILM_FPS, View, ViewOptions, as_view
-from .playback.viewers import VIEWER
+from .playback.view_options import FILM_FPS, VIEWER, VIEWERS, View, ViewOptions, as_view
 from .plots.by_kind import plot as plot
 
 if TYPE_CHECKING:
@@ -56,10 +55,44 @@ def play(
         MissingPackageError: viser is requested and not installed.
         OutputError: The page cannot be served.
     """
-    from .playback.play_in_viewer import play_in_viewer
-
     view = as_view(options, "play")
-    return play_in_viewer(traj, view, viewer=viewer, port=port, show=show, wait=wait)
+    return play_view(traj, view, viewer=viewer, port=port, show=show, wait=wait)
+
+
+def play_view(
+    source: MotionSource,
+    view: View,
+    *,
+    viewer: str = VIEWER,
+    port: int | None = None,
+    show: bool = True,
+    wait: bool | None = None,
+) -> Player:
+    """Serve the playback of a motion and print its address.
+
+    Args:
+        source: The motion.
+        view: Options of the drawing.
+        viewer: Name of a viewer in VIEWERS.
+        port: Port; an unused port if None.
+        show: Open the user's browser.
+        wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
+    Returns:
+        The server.
+    Raises:
+        InputError: The viewer is unknown.
+    """
+    from .playback.page import page
+    from .playback.server import check_port, run, serve
+
+    if viewer not in VIEWERS:
+        raise InputError(f"viewer must be {' or '.join(map(repr, VIEWERS))}, got {viewer!r}")
+    if viewer == "viser":
+        from .playback.viser_player import ViserPlayer
+
+        return run(ViserPlayer(source, view, port), "playing at", show=show, wait=wait)
+    check_port(port)  # check the port first, because building the page may take long
+    return serve(page(source, view), "playing at", port=port, show=show, wait=wait)
 
 
 @checks_arguments
@@ -186,7 +219,7 @@ def save_film(
     Returns:
         Number of frames.
     Raises:
-        InputError: An option is invalid, or Chromium or ffmpeg is not installed.
+        InputError: An option is invalid, or ffmpeg is not installed.
         OutputError: Rendering or writing fails.
     """
     from .playback.film import save_film as write

@@ -83,7 +83,8 @@ def test_diagram_draws_branches_over_momentum() -> None:
         np.testing.assert_array_equal(np.asarray(axes.lines[k].get_xydata()), wanted)
     legend = axes.get_legend()
     assert legend is not None
-    assert [text.get_text() for text in legend.get_texts()] == ["stable", "index odd: unstable"]
+    texts = [text.get_text() for text in legend.get_texts()]
+    assert texts == ["stable: a minimum", "unstable: index odd"]
     (axes,) = pinred.plot(found, "branches", joint="pole_pivot").axes
     assert axes.get_ylabel() == "pole_pivot [rad]"
     with pytest.raises(pinred.InputError, match="pole_pivot"):

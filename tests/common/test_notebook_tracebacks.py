@@ -23,6 +23,14 @@ for cell in (
     "def ell(xi):\\n    return {}['missing']",
     "pinred.equations.euler_poincare_of_lagrangian(cat.group, ell, [0.0] * 6)",
     "try:\\n    pinred.load('1.urdf')\\nexcept pinred.LoadError:\\n    pinred.load('2.urdf')",
+    "from pinred.forces import Controller\\nimport fractions",
+    "def law(t, x, xdot, mu):\\n    return fractions.Fraction(1, 0)",
+    "pinred.simulate(cat, forces=[Controller(law, period=0.1)], duration=1.0)",
+    "print('frames', len(traceback.extract_tb(sys.last_traceback)))",
+    "from unittest.mock import patch; import pinred.simulation.simulate as own",
+    "def call(*_):\\n    with patch.object(own, 'as_scene', int):\\n        own.simulate(cat)",
+    "call()",
+    "pinred.simulate(cat, forces=[Controller(call, period=0.1)], duration=1.0)",
 ):
     print("CELL")
     shell.run_cell(cell)
@@ -40,7 +48,7 @@ def run_session(**environment: str) -> list[str]:
 
 def test_tracebacks_in_notebooks_end_at_the_call() -> None:
     """They have no frame of pinred; frames of a user's function and earlier errors remain."""
-    _, simple, frames, wrong_kind, cause, _, in_function, second = run_session()
+    _, simple, frames, wrong_kind, cause, _, in_function, second, *_ = run_session()
     for text in (simple, wrong_kind, in_function, second):
         assert "contextlib" not in text  # a library that pinred calls
         assert "pinred/" not in text
@@ -57,9 +65,26 @@ def test_tracebacks_in_notebooks_end_at_the_call() -> None:
     assert "LoadError: no such file: 2.urdf" in second
 
 
+def test_exceptions_of_users_functions_show_no_frames_between() -> None:
+    """The call, the function and what it calls; a fault of pinred itself has all frames."""
+    *_, thrown, frames, _, _, fault, fault_below = run_session()
+    assert "pinred/" not in thrown
+    assert "<checks" not in thrown
+    assert "----> 1 pinred.simulate(cat, forces=[Controller(law" in thrown
+    assert "----> 2     return fractions.Fraction(1, 0)" in thrown
+    assert "fractions.py" in thrown
+    assert "ZeroDivisionError: Fraction(1, 0)" in thrown
+    assert int(frames.split()[1]) >= 6  # a debugger sees all frames
+    for text in (fault, fault_below):  # a user's function calls pinred in the second
+        assert "pinred/simulation/simulate.py" in text
+        assert "TypeError" in text
+    assert "pinred/simulation/control.py" in fault_below
+
+
 def test_environment_variable_restores_all_frames() -> None:
     """Also of the error that the first error replaces."""
-    _, simple, _, wrong_kind, *_ = run_session(PINRED_TRACEBACK="1")
+    _, simple, _, wrong_kind, *_, thrown, _, _, _, _, _ = run_session(PINRED_TRACEBACK="1")
     assert "pinred/simulation/simulate.py" in simple
     assert wrong_kind.count("Traceback (most recent call last)") >= 1
     assert "<checks" in wrong_kind
+    assert "pinred/simulation/control.py" in thrown

@@ -7,10 +7,7 @@ import subprocess
 
 import pinred
 from pinred.system.system import System
-from pinred.views.feel.feel_graphs import feel_graphs
-from pinred.views.feel.feel_page import loop_numbers
-from pinred.views.feel.felt_robot import felt_robot
-from pinred.views.feel.instructions import to_javascript
+from pinred.views.feel.feel_page import feel_graphs, felt_robot, loop_numbers, to_javascript
 from pinred.views.playback.page import resource
 
 ROBOTS = (

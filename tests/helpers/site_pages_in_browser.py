@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from pinred.views.playback.headless_browser import Browser
+from headless_browser import Browser
 
 # Content beyond the width of the window, pictures without pixels, formulas that stayed LaTeX,
 # and elements whose content is cut off.
@@ -25,6 +25,9 @@ _FAULTS = r"""(() => {
         !part.closest("table, pre, .formula, dt") && !part.querySelector("table, pre, .formula"))
       faults.push(`text is wider than its place: ${part.textContent.slice(0, 60)}`);
   }
+  for (const table of article.querySelectorAll("table"))
+    if (innerWidth < 500 && table.scrollWidth > table.clientWidth + 1)
+      faults.push(`table scrolls: ${table.textContent.trim().slice(0, 60)}`);
   const prose = [...article.querySelectorAll("p, li, td")].map((e) => {
     const copy = e.cloneNode(true);
     copy.querySelectorAll("code, math").forEach((c) => c.remove());

@@ -23,7 +23,15 @@ ARM = """<robot name="arm">
   <joint name="end" type="fixed"><parent link="upper"/><child link="tip"/>
     <origin xyz="0.6 0 0.1"/></joint>
 </robot>"""
-OUTPUTS = ["turn", "position(tip)", "position(tip).z", "peak_torque", "excursion.shoulder", "pose"]
+OUTPUTS = [
+    "turn",
+    "turn.y",
+    "position(tip)",
+    "position(tip).z",
+    "peak_torque",
+    "excursion.shoulder",
+    "pose",
+]
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +62,8 @@ def test_measures_in_a_file_are_those_of_the_motions(
         first, last = Rotation.from_quat(traj.pose[[0, -1], 3:])
         expected = np.rad2deg((first.inv() * last).magnitude())
         np.testing.assert_allclose(result["turn"][k], expected, rtol=1e-10)
+        vector = np.rad2deg((first.inv() * last).as_rotvec())
+        np.testing.assert_allclose(result["turn.y"][k], vector[1], rtol=0, atol=1e-10)
         pose, x = traj.pose[-1], traj.x[:, 0]
         in_hull = np.array([0.5, 0, 0]) + Rotation.from_rotvec([0, 0, x[-1]]).apply([0.6, 0, 0.1])
         tip = pose[:3] + last.apply(in_hull)
@@ -67,8 +77,8 @@ def test_measures_in_a_file_are_those_of_the_motions(
     for name in OUTPUTS:
         assert np.isnan(result[name].values[rejected]).all()
         assert not np.isnan(result[name].values[~rejected]).any()
-    units = {name: result[name].attrs["units"] for name in OUTPUTS[:5]}
-    assert list(units.values()) == ["°", "m", "m", "N·m", "rad"]
+    units = {name: result[name].attrs["units"] for name in OUTPUTS[:6]}
+    assert list(units.values()) == ["°", "°", "m", "m", "N·m", "rad"]
     assert system.m == 1
 
 
@@ -80,12 +90,29 @@ def test_planar_turn_is_signed_and_counts_full_turns() -> None:
     np.testing.assert_allclose(result["turn"], np.rad2deg([-18.0, 2.0]), rtol=1e-9)
 
 
+def test_rotation_vector_of_a_turn_in_space() -> None:
+    """Against SciPy's rotations, and for both quaternions of the first attitude."""
+    body = pinred.load("rigid_body")
+    start = Rotation.from_euler("xyz", [0.3, -0.8, 2.9]).as_quat()
+    outputs = ["turn.x", "turn.y", "turn.z", "turn", "pose"]
+    for pose0 in (start, -start):
+        scene = pinred.Scene(system=body, pose0=pose0, xi0=[0.2, -0.4, 0.3], duration=2.0)
+        result = pinred.sweep(scene, {"xi0.omega2": [-1.5, -0.4, 0.0, 1.2, 1.55]}, outputs=outputs)
+        last = Rotation.from_quat(result["pose"].values)
+        expected = np.rad2deg((Rotation.from_quat(pose0).inv() * last).as_rotvec())
+        for k, name in enumerate(outputs[:3]):
+            np.testing.assert_allclose(result[name], expected[:, k], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(result["turn"], np.linalg.norm(expected, axis=1), atol=1e-9)
+        assert np.abs(expected).max() > 150.0
+
+
 @pytest.mark.parametrize(
     ("robot", "output", "words"),
     [
         ("falling_cat", "position(hand)", "no frame 'hand'"),
         ("falling_cat", "position", "position(FRAME), peak_torque, excursion"),
-        ("falling_cat", "turn.x", "expected turn without an entry"),
+        ("falling_cat", "turn.w", "no component 'w'; the components are x, y, z"),
+        ("elroys_beanie", "turn.x", "an entry x, y or z only if it turns in space"),
         ("falling_cat", "peak_torque.bent", "no shape joint 'bent'; did you mean 'bend'"),
         ("falling_cat", "position(front).w", "no component 'w'; the components are x, y, z"),
         ("cartpole", "turn", "of a base that can turn"),

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from headless_browser import Browser
 
 import pinred
 from pinred.cli.main import main
 from pinred.common.arrays import Array
 from pinred.system.loops.looped_system import loop_values
-from pinred.views.playback.headless_browser import Browser
 
 pytestmark = pytest.mark.browser
 

@@ -15,10 +15,13 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.system.joints import axes_of
 from pinred.system.loops.looped_system import loop_values
-from pinred.views.feel.feel_graphs import feel_graphs
-from pinred.views.feel.feel_page import feel_page, loop_numbers
-from pinred.views.feel.felt_robot import felt_robot
-from pinred.views.feel.instructions import to_javascript
+from pinred.views.feel.feel_page import (
+    feel_graphs,
+    feel_page,
+    felt_robot,
+    loop_numbers,
+    to_javascript,
+)
 from pinred.views.playback.page import resource
 
 NODE = shutil.which("node")

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import json
 import re
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from headless_browser import Browser
 from test_playback_in_browser import complaints, count_different, picture_at, show
 
 import pinred
-from pinred.views.playback.headless_browser import Browser
+from pinred.views.playback.drawn_bodies import drawn_bodies
+from pinred.views.playback.film_frames import Frames
+from pinred.views.playback.framing import frame
 from pinred.views.playback.playback import playback
+from pinred.views.playback.scene_nodes import scene_nodes
 from pinred.views.playback.view_options import View
 
 
@@ -71,3 +76,24 @@ def test_browser_shows_a_flash_after_an_impact(
     earlier, before, after = (picture_at(screen, time + dt) for dt in (-2e-5, -1e-5, 1e-5))
     assert complaints(screen) == []
     assert count_different(before, after) > 3 * count_different(earlier, before) + 100
+
+
+def test_films_show_a_flash_that_fades(bouncing_cat: pinred.Trajectory) -> None:
+    """Orange pixels at an impact; a quarter of a second later at half speed, half as strong."""
+    film = playback(bouncing_cat, View(fps=400.0))
+    framing, bodies = frame(film, drawn_bodies(film.system)), drawn_bodies(film.system)
+    nodes = {node.path[1]: node for node in scene_nodes(film, bodies, framing, 2.0)}
+    for joint, times in {
+        name: bouncing_cat.impacts.t[np.array(bouncing_cat.impacts.joint) == name]
+        for name in set(bouncing_cat.impacts.joint)
+    }.items():
+        opacity = nodes[f"impact at {joint}"].opacity
+        assert opacity is not None
+        since = film.t[:, None] - np.sort(times)
+        since = np.where(since >= 0.0, since, np.inf).min(axis=1)
+        np.testing.assert_allclose(opacity, np.maximum(0.0, 1.0 - since / 0.5), atol=1e-12)
+    t = float(bouncing_cat.impacts.t[-1])
+    frames = Frames(bouncing_cat, View(fps=400.0), (320, 240))
+    shots = [np.asarray(frames.draw(t + dt), dtype=np.int16) for dt in (-0.006, -0.003, 0.003)]
+    earlier, later = (np.abs(a - b).max(axis=2) > 12 for a, b in pairwise(shots))
+    assert later.sum() > 2 * earlier.sum() + 20

@@ -11,10 +11,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from headless_browser import Browser
 from PIL import Image
 
 import pinred
-from pinred.views.playback.headless_browser import Browser
 from pinred.views.playback.server import inline_frame, is_notebook
 
 

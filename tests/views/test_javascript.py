@@ -13,7 +13,7 @@ from feel_cost import scripts_of
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.views.feel.instructions import to_javascript
+from pinred.views.feel.feel_page import to_javascript
 
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="node is not installed")

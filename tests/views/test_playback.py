@@ -303,41 +303,56 @@ def test_framing_has_gravity_and_room_for_its_arrow(gravity: tuple[float, float,
     np.testing.assert_allclose(framing.gravity_at @ framing.eye, 0.0, atol=1e-12)
 
 
+def colour_of(path: Path) -> Any:
+    """Return the colour of the first pixel of a picture."""
+    with Image.open(path) as image:
+        return image.getpixel((0, 0))
+
+
+RED, BLUE, OLD = (255, 0, 0), (0, 0, 255), (7, 7, 7)
+
+
+def plain(path: Path, colour: tuple[int, int, int]) -> Image.Image:
+    """Return a picture of one colour; write it unless the path is a folder."""
+    image = Image.new("RGB", (2, 2), colour)
+    if not path.is_dir():
+        image.save(path)
+    return image
+
+
 def test_frames_are_written_all_or_none(tmp_path: Path) -> None:
     """A film that fails leaves existing files and none of its frames."""
-    (tmp_path / "film_0000.png").write_bytes(b"old")
+    plain(tmp_path / "film_0000.png", OLD)
 
-    def shots(fail: bool) -> Iterator[bytes]:
-        yield b"first"
-        assert (tmp_path / "film_0000.png").read_bytes() == b"old"
+    def shots(fail: bool) -> Iterator[Image.Image]:
+        yield plain(tmp_path, RED)
+        assert colour_of(tmp_path / "film_0000.png") == OLD
         if fail:
-            raise pinred.OutputError("the browser is gone")
-        yield b"second"
+            raise pinred.OutputError("the disk is gone")
+        yield plain(tmp_path, BLUE)
 
     with pytest.raises(pinred.OutputError, match="is gone"):
         write_frames(tmp_path / "film.png", shots(fail=True))
-    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [
-        ("film_0000.png", b"old")
-    ]
+    assert {path.name: colour_of(path) for path in tmp_path.iterdir()} == {"film_0000.png": OLD}
     assert write_frames(tmp_path / "film.png", shots(fail=False)) == 2
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
-        "film_0000.png": b"first",
-        "film_0001.png": b"second",
+    assert {path.name: colour_of(path) for path in tmp_path.iterdir()} == {
+        "film_0000.png": RED,
+        "film_0001.png": BLUE,
     }
 
 
 def test_failed_move_restores_old_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """For a folder with a frame's name, and for a disk error."""
-    before = {"z_0000.png": b"old 0", "z_0001.png": b"old 1", "z_00a1.png": b"no frame"}
-    for name, content in before.items():
-        (tmp_path / name).write_bytes(content)
+    before = {"z_0000.png": OLD, "z_0001.png": BLUE, "z_00a1.png": OLD}
+    for name, colour in before.items():
+        plain(tmp_path / name, colour)
     (tmp_path / "z_0002.png").mkdir()
 
-    def there() -> dict[str, bytes]:
-        return {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
+    def there() -> dict[str, Any]:
+        return {path.name: colour_of(path) for path in tmp_path.iterdir() if path.is_file()}
 
-    def shots(count: int) -> Iterator[bytes]:
-        return (b"new" for _ in range(count))
+    def shots(count: int) -> Iterator[Image.Image]:
+        return (plain(tmp_path, RED) for _ in range(count))
 
     with pytest.raises(pinred.InputError, match=r"z_0002\.png': it is a folder"):
         write_frames(tmp_path / "z.png", shots(4))
@@ -359,7 +374,7 @@ def test_failed_move_restores_old_frames(tmp_path: Path, monkeypatch: pytest.Mon
         write_frames(tmp_path / "z.png", shots(1))
     assert there() == before
     assert write_frames(tmp_path / "z.png", shots(3)) == 3
-    assert there() == {f"z_000{k}.png": b"new" for k in range(3)} | {"z_00a1.png": b"no frame"}
+    assert there() == {f"z_000{k}.png": RED for k in range(3)} | {"z_00a1.png": OLD}
 
 
 @pytest.mark.parametrize("fps", [50.0, 45.0, 30.0, 29.97, 25.0, 7.0, 0.5])
@@ -370,8 +385,7 @@ def test_gif_frames_keep_time(tmp_path: Path, fps: float) -> None:
     pictures = []
     for k in range(100):
         image.putpixel((k % 8, k // 8 % 8), (40 + k, 200 - k, 90))
-        image.save(tmp_path / "shot.png")
-        pictures.append((tmp_path / "shot.png").read_bytes())
+        pictures.append(image.copy())
     assert write_gif(film, iter(pictures), fps) == 100
     data, last = film.read_bytes(), []
     mark = data.find(b"!\xf9\x04")  # a graphic control extension, before each frame

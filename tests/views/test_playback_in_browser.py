@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 import io
-import os
-import signal
-import subprocess
-import sys
-import tempfile
 import time
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from headless_browser import Browser
 from numpy.typing import NDArray
 from PIL import Image
 from played_robots import BY_HAND, OTHERS, ROBOTS
 
 import pinred
-from pinred.views.playback.film import find_ffmpeg, write_gif
-from pinred.views.playback.film_timing import FilmTiming, bench_films
-from pinred.views.playback.headless_browser import Browser
 from pinred.views.playback.playback import playback
 from pinred.views.playback.server import Player
 from pinred.views.playback.view_options import View
@@ -358,66 +350,6 @@ def test_robot_names_cannot_inject_scripts(screen: Browser, tmp_path: Path) -> N
     assert complaints(screen) == []
 
 
-def test_film_has_exact_number_of_frames(screen: Browser, tmp_path: Path) -> None:
-    """A film has a frame at each time, in order, from one session of the browser."""
-    del screen  # one is started for the film; this only skips where there is none
-    traj = pinred.simulate(pinred.load("falling_cat"), duration=0.5)
-    assert pinred.save_film(traj, tmp_path / "film.png", fps=8, size=(160, 120)) == 5
-    frames = [np.asarray(Image.open(path), dtype=np.int16) for path in sorted(tmp_path.iterdir())]
-    assert [path.name for path in sorted(tmp_path.iterdir())] == [
-        f"film_{k:04d}.png" for k in range(5)
-    ]
-    assert {frame.shape[:2] for frame in frames} == {(120, 160)}
-    assert all(count_different(a, b) > 10 for a, b in pairwise(frames))
-
-
-@BY_HAND
-def test_film_timing_compares_frames_with_screenshots(screen: Browser) -> None:
-    """The table names both times and their ratio."""
-    del screen
-    (timing,) = bench_films(["falling_cat"])
-    assert timing.frame > 0.0
-    assert timing.screenshot > 0.0
-    row = f"{timing}".split()
-    assert row[0] == "falling_cat"
-    assert float(row[2]) == pytest.approx(1.0 / timing.frame, rel=0.01)
-    assert len(FilmTiming.header().split("  ")) > 3
-
-
-@BY_HAND
-def test_films_have_requested_frames_and_size(screen: Browser, tmp_path: Path) -> None:
-    """Frames, gif and mp4; the pictures change."""
-    del screen  # one is started for each film; this only skips where there is none
-    traj = pinred.simulate(pinred.load("falling_cat"), duration=0.5)
-    assert pinred.save_film(traj, tmp_path / "film.png", fps=4, size=(320, 240)) == 3
-    frames = [
-        np.asarray(Image.open(tmp_path / f"film_{k:04d}.png").convert("RGB"), dtype=np.int16)
-        for k in range(3)
-    ]
-    assert frames[0].shape == (240, 320, 3)
-    assert count_different(frames[0], frames[1]) > 100
-    assert count_different(frames[1], frames[2]) > 100
-    pictures = (path.read_bytes() for path in sorted(tmp_path.glob("film_*.png")))
-    assert write_gif(tmp_path / "film.gif", pictures, 4.0) == 3
-    with Image.open(tmp_path / "film.gif") as film:
-        assert (film.size, film.n_frames) == ((320, 240), 3)  # type: ignore[attr-defined]
-        shown = np.asarray(film.convert("RGB"), dtype=np.int16)
-    # Its few colours are those of what is drawn: the arrow is still there.
-    arrow = has_colour(frames[0], (213, 94, 0))
-    assert arrow.sum() > 50
-    assert (np.abs(shown - frames[0])[arrow].max(axis=1) < 40).mean() > 0.9
-    try:
-        encoder = find_ffmpeg()
-    except pinred.InputError as error:
-        pytest.skip(str(error))
-    assert pinred.save_film(traj, tmp_path / "film.mp4", fps=4, size=(320, 240)) == 3
-    count = subprocess.run(
-        [encoder, "-i", str(tmp_path / "film.mp4"), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"],
-        capture_output=True, check=True,
-    )  # fmt: skip
-    assert len(count.stdout) == 3 * 320 * 240 * 3
-
-
 def test_page_continues_without_player(screen: Browser) -> None:
     """An open page plays after its server has ended."""
     traj = pinred.simulate(pinred.load("elroys_beanie"), duration=1.0)
@@ -427,33 +359,3 @@ def test_page_continues_without_player(screen: Browser) -> None:
     began = screen.run("pinred.time")
     screen.wait_for(f"pinred.time > {began} + 0.1 || pinred.time < {began}")
     assert complaints(screen) == []
-
-
-@pytest.mark.by_hand
-def test_sigterm_removes_unfinished_film(screen: Browser, tmp_path: Path) -> None:
-    """The process ends and removes its frames and folders."""
-    del screen  # as above
-    printed = tmp_path / "out"
-    printed.mkdir()
-    (tmp_path / "scene.toml").write_text('robot = "falling_cat"\n[run]\nduration = 600.0\n')
-    command = [sys.executable, "-m", "pinred", "play", "scene.toml", "--out", "out/film.png"]
-    with (
-        tempfile.TemporaryDirectory() as scratch,  # its name is short, as a socket's has to be
-        subprocess.Popen(
-            command,
-            cwd=tmp_path,
-            env=os.environ | {"TMPDIR": scratch, "PYTHONPATH": str(ROOT)},
-        ) as process,
-    ):
-        try:
-            until = time.monotonic() + 120.0
-            while not list(printed.glob(".film.png.*/new/film_0001.png")):
-                assert process.poll() is None
-                assert time.monotonic() < until
-                time.sleep(0.05)
-            process.terminate()
-            assert process.wait(30.0) == -signal.SIGTERM
-        finally:
-            process.kill()
-        assert os.listdir(scratch) == []
-    assert list(printed.iterdir()) == []

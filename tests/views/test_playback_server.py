@@ -18,7 +18,8 @@ from commands import refused
 import pinred
 from pinred.cli import view_commands
 from pinred.cli.main import main
-from pinred.views.playback.server import Player, play
+from pinred.views.motions import play_view
+from pinred.views.playback.server import Player
 from pinred.views.playback.view_options import View
 
 
@@ -103,7 +104,7 @@ def test_taken_port_is_rejected(capsys: pytest.CaptureFixture[str]) -> None:
         port = other.getsockname()[1]
         words = f"port {port} is taken"
         with pytest.raises(pinred.InputError, match=words):
-            play(None, View(), port=port)  # type: ignore[arg-type]
+            play_view(None, View(), port=port)  # type: ignore[arg-type]
         assert main(["play", "gone.npz", "--port", str(port)]) == 2
         assert words in capsys.readouterr().err
 
@@ -265,6 +266,3 @@ def test_invalid_films_are_rejected_before_rendering(
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     refused(r"apt-get install ffmpeg, or pip install \"pinred\[film\]\"", "film.mp4")
-    refused("apt-get install chromium", "film.gif")
-    monkeypatch.setenv("PINRED_BROWSER", "netscape")
-    refused("PINRED_BROWSER is 'netscape'", "film.gif")

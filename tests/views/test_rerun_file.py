@@ -73,6 +73,32 @@ def test_recording_has_pinocchios_placements(traj: pinred.Trajectory, tmp_path: 
     check_camera(traj, moving, layout)
 
 
+def test_overlays_have_stretches_and_opacities(tmp_path: Path) -> None:
+    """The locked inertia is an ellipsoid of the composite inertia; flashes of impacts fade."""
+    traj = pinred.simulate(
+        pinred.load("falling_cat"), xdot0=[3.0, -2.0, 1.0], duration=1.0,
+        stops={"bend": (-0.6, 0.6, 0.5)},
+    )  # fmt: skip
+    path = tmp_path / "cat.rrd"
+    pinred.save_rrd(traj, path, fps=FPS)
+    moving, static, _ = read(path)
+    columns = moving["/overlays/locked\\ inertia"]
+    matrices = np.array(columns["Transform3D:mat3x3"])[:, 0].reshape(-1, 3, 3).swapaxes(1, 2)
+    model, data = traj.system.model, traj.system.model.createData()
+    for k, q in enumerate(traj(np.linspace(0.0, 1.0, len(matrices))).q):
+        pin.ccrba(model, data, q, np.zeros(model.nv))
+        # A ball under the matrix S has the inertia m/5 (tr S² − S²).
+        square = matrices[k] @ matrices[k]
+        inertia = data.Ig.mass / 5.0 * (np.trace(square) * np.eye(3) - square)
+        np.testing.assert_allclose(inertia, data.Ig.inertia, rtol=1e-5, atol=1e-5)
+    tints = np.array(moving["/overlays/impact\\ at\\ bend/0"]["Mesh3D:albedo_factor"])[:, 0]
+    times = np.sort(traj.impacts.t)
+    for k, t in enumerate(np.linspace(0.0, 1.0, len(tints))):
+        since = min([t - at for at in times if at <= t], default=np.inf)
+        assert abs((int(tints[k]) & 255) - 255.0 * max(0.0, 1.0 - since / 0.25)) <= 0.51
+    assert "/overlays/momentum\\ shaft/0" in static
+
+
 def check_camera(traj: pinred.Trajectory, moving: Columns, layout: Columns) -> None:
     """Check that the 3D view, whose origin is the centre of mass, contains the robot."""
     (view,) = (v for v in layout.values() if v.get("ViewBlueprint:class_identifier") == [["3D"]])

@@ -77,6 +77,23 @@ def test_placements_at_frames_are_pinocchios(player: ViserPlayer, traj: pinred.T
     assert player._slider.value == 10.0
 
 
+def test_overlays_are_deformed(player: ViserPlayer, traj: pinred.Trajectory) -> None:
+    """The locked inertia is the ellipsoid of the composite inertia at the time."""
+    system = traj.system
+    model, data = system.model, system.model.createData()
+    index = player._names.index(("overlays", "locked inertia"))
+    (mesh,) = player._meshes[index]
+    for t in (0.0, 3.3):
+        player.seek(t)
+        pin.ccrba(model, data, traj([t]).q[0], np.zeros(model.nv))
+        # The ellipsoid's moments are m/5 (tr S² − S²), and its points satisfy |S⁻¹ p| = 1.
+        square = 2.5 / data.Ig.mass * np.trace(data.Ig.inertia) * np.eye(3)
+        square -= 5.0 / data.Ig.mass * data.Ig.inertia
+        points = np.asarray(mesh.vertices, dtype=float)
+        size = np.einsum("ij,ij->i", points @ np.linalg.inv(square), points)
+        np.testing.assert_allclose(size, 1.0, atol=5e-3)  # interpolated between frames
+
+
 @pytest.mark.parametrize("follow", [True, False])
 def test_camera_sees_the_robot_at_all_times(
     player: ViserPlayer, traj: pinred.Trajectory, follow: bool

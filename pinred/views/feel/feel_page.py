@@ -1,30 +1,488 @@
-"""The page on which joints are moved by hand: its numbers, scripts and options."""
+"""The page on which joints are moved by hand.
+
+It consists of CasADi functions as JavaScript, of the robot with its connection and its sliders, and
+of the page with its numbers, scripts and options.
+
+The page uses coordinates w of the open tree, (m,), in which a ball is a rotation vector
+(`Connection.in_chart`).  Sliders move the independent coordinates u, (d,).  Without closed loops,
+u = w.  Twists and momenta are those of Pinocchio's root joint in space, (6,) [linear; angular].
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from importlib.resources import files
+from itertools import pairwise, product
 from pathlib import Path
+from string import ascii_letters
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from ...analysis.connections.connection import Connection
-from ...common.arrays import Array
+from ...analysis.connections.loop_connection import LoopConnectionCode
+from ...common.arrays import Array, FrozenArrays
+from ...common.errors import InputError, PinredError, UnsupportedOperationError
 from ...common.files import check_path, write_atomic
 from ...common.names import joint_index
 from ...common.waiting import Wait
+from ...kernels.connection.connection_form import momentum_velocity_graph, velocity_graph
+from ...reduction.symbolic_placements import (
+    Placement,
+    all_joint_values,
+    compose,
+    fixed_placement,
+    inverse,
+    joint_frames,
+    rotate,
+)
+from ...reduction.tree.momenta import bracket
+from ...system.joints import axes_of
+from ...system.loops.kinematics import JointLaw, loop_ends, rotation_axes
+from ...system.loops.loop import JointPolynomial, Loop
 from ...system.loops.loop_assembly import rate_units
+from ...system.loops.loop_chart import LoopChart
+from ...system.loops.looped_system import loop_kinematics
 from ...system.system import System
 from ..playback.drawn_bodies import Bodies, drawn_bodies
 from ..playback.framing import frame
 from ..playback.page import STAGE, Blob, assemble, plain_fields, resource, robot_head
 from ..playback.playback import Momentum, Playback, conserved_momentum
 from ..playback.shape_panel import motion_words
-from .feel_graphs import feel_graphs, root_axes
-from .felt_robot import FeltRobot, felt_robot
-from .instructions import to_javascript
+
+# {operation: JavaScript of its arguments}.  Comparisons are numbers, as in CasADi.
+_OPERATIONS = {
+    ca.OP_ASSIGN: "{0}", ca.OP_ADD: "{0}+{1}", ca.OP_SUB: "{0}-{1}", ca.OP_MUL: "{0}*{1}",
+    ca.OP_DIV: "{0}/{1}", ca.OP_NEG: "-{0}", ca.OP_SQ: "{0}*{0}", ca.OP_TWICE: "2*{0}",
+    ca.OP_INV: "1/{0}", ca.OP_SQRT: "Math.sqrt({0})", ca.OP_SIN: "Math.sin({0})",
+    ca.OP_COS: "Math.cos({0})", ca.OP_TAN: "Math.tan({0})", ca.OP_ASIN: "Math.asin({0})",
+    ca.OP_ACOS: "Math.acos({0})", ca.OP_ATAN: "Math.atan({0})",
+    ca.OP_ATAN2: "Math.atan2({0},{1})", ca.OP_FABS: "Math.abs({0})", ca.OP_EXP: "Math.exp({0})",
+    ca.OP_LOG: "Math.log({0})", ca.OP_POW: "Math.pow({0},{1})", ca.OP_SIGN: "Math.sign({0})",
+    ca.OP_CONSTPOW: "Math.pow({0},{1})", ca.OP_FMIN: "Math.min({0},{1})",
+    ca.OP_FMAX: "Math.max({0},{1})", ca.OP_LT: "+({0}<{1})", ca.OP_LE: "+({0}<={1})",
+    ca.OP_EQ: "+({0}==={1})", ca.OP_NE: "+({0}!=={1})", ca.OP_NOT: "+!{0}",
+    ca.OP_AND: "+({0}&&{1})", ca.OP_OR: "+({0}||{1})", ca.OP_IF_ELSE_ZERO: "({0}?{1}:0)",
+}  # fmt: skip
+
+
+_RESERVED = {"y", "do", "if", "in", "for", "let", "new", "out", "try", "var"}
+_LONGEST = 300  # largest number of characters of an expression that becomes part of another one
+
+
+@dataclass
+class _Value:
+    """A value of a function.
+
+    Attributes:
+        text: Its JavaScript: an expression, or the name of its variable.
+        atom: Whether the text needs no parentheses inside other expressions.
+        names: Variables in the text, as often as they appear.
+        uses: Number of appearances of the value in other texts.
+    """
+
+    text: str = ""
+    atom: bool = False
+    names: list[str] = field(default_factory=list)
+    uses: int = 0
+
+
+def to_javascript(name: str, function: ca.Function) -> str:
+    """Write a function of one dense vector as JavaScript `name(y, out)`, which fills `out`.
+
+    Constants, entries of y, and values that are used once become parts of other expressions, so
+    the operations and their results stay the same.
+
+    Args:
+        name: Name of the JavaScript function.
+        function: Function of SX expressions, y → out.
+    Returns:
+        The JavaScript function.
+    Raises:
+        UnsupportedOperationError: The function contains an operation without translation.
+    """
+    lines: list[str] = []
+    variables = _Variables()
+    for template, value, operands in _instructions(function):
+        texts = [one.text if one.atom else f"({one.text})" for one in operands]
+        value.text = template.format(*texts)
+        value.names = [n for k, one in enumerate(operands) for n in one.names * _count(template, k)]
+        if not operands and value.uses * (len(template) - 2) <= len(template) + 4:
+            value.atom = not template.startswith("-")  # a constant or an entry of y
+        elif not value.uses:  # an output
+            lines.append(value.text)
+            variables.release(value.names)
+        elif value.uses > 1 or not operands or len(value.text) > _LONGEST:
+            variables.release(value.names)
+            new = variables.take(value.uses)
+            lines.append(f"{new}={value.text}")
+            value.text, value.atom, value.names = new, True, [new]
+    let = f"let {','.join(variables.all)};\n" if variables.all else ""
+    return f"function {name}(y,out){{\n{let}{';'.join(lines)};\n}}\n"
+
+
+def _instructions(function: ca.Function) -> list[tuple[str, _Value, list[_Value]]]:
+    """Return the template, the value and the operands of each instruction, with counted uses."""
+    registers: dict[int, _Value] = {}
+    steps = []
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        inputs, outputs = function.instruction_input(k), function.instruction_output(k)
+        operands: list[_Value] = []
+        if operation == ca.OP_CONST:
+            template = _number(function.instruction_constant(k))
+        elif operation == ca.OP_INPUT:
+            template = f"y[{inputs[1]}]"
+        elif operation == ca.OP_OUTPUT:
+            template, operands = f"out[{outputs[1]}]={{0}}", [registers[inputs[0]]]
+        elif operation in _OPERATIONS:
+            template = _OPERATIONS[operation]
+            operands = [registers[index] for index in inputs[: 1 + ("{1}" in template)]]
+        else:
+            raise UnsupportedOperationError(
+                f"JavaScript: expected elementary operations, got CasADi's operation {operation}"
+            )
+        for place, operand in enumerate(operands):
+            operand.uses += _count(template, place)
+        value = _Value()
+        if operation != ca.OP_OUTPUT:
+            registers[outputs[0]] = value
+        steps.append((template, value, operands))
+    return [step for step in steps if step[1].uses or step[0].startswith("out[")]
+
+
+def _count(template: str, place: int) -> int:
+    """Return how often an operand appears in a template."""
+    return template.count(f"{{{place}}}")
+
+
+class _Variables:
+    """Names of variables, which are used again after the last appearance of their values."""
+
+    def __init__(self) -> None:
+        self.all: list[str] = []
+        self._free: list[str] = []
+        self._left: dict[str, int] = {}
+        self._new = (
+            name
+            for size in (1, 2, 3)
+            for name in map("".join, product(ascii_letters, repeat=size))
+            if name not in _RESERVED
+        )
+
+    def take(self, uses: int) -> str:
+        """Return a variable for a value that appears `uses` times."""
+        if not self._free:
+            self.all.append(next(self._new))
+            self._free.append(self.all[-1])
+        name = self._free.pop()
+        self._left[name] = uses
+        return name
+
+    def release(self, names: list[str]) -> None:
+        """Count appearances of variables."""
+        for name in names:
+            self._left[name] -= 1
+            if not self._left[name]:
+                self._free.append(name)
+
+
+def _number(value: float) -> str:
+    """Write a number as JavaScript, which reads the same bits."""
+    names = {"inf": "Infinity", "-inf": "-Infinity", "nan": "NaN"}
+    return names.get(repr(float(value)), repr(float(value)))
+
+
+@dataclass(frozen=True, eq=False)
+class FeelGraphs:
+    """The functions that the page evaluates; each takes one vector.
+
+    Attributes:
+        twist: (w, ẇ, momentum) → twist −A ẇ + P_b⁻¹ μ, (6,).
+        curvature: (w, u, v) → B(u, v), (r,), for constant vectors u and v, (m,).
+        placements: w → position and quaternion of the joints after the root, relative to the root
+            body, 7 numbers each, then the centre of mass, (3,).
+        loops: w → equations of the closed loops and their Jacobian (see `loop_graph`); empty
+            without loops.
+    """
+
+    twist: ca.Function
+    curvature: ca.Function
+    placements: ca.Function
+    loops: ca.Function
+
+
+def feel_graphs(connection: Connection, system: System) -> FeelGraphs:
+    """Return the functions of a robot.
+
+    Args:
+        connection: Connection of the open tree, in the chart.
+        system: The system, perhaps with closed loops.
+    Returns:
+        The functions.
+    """
+    m = connection.m
+    w, u, v = (ca.SX.sym(name, m) for name in ("w", "u", "v"))
+    x = w if connection.chart is None else connection.chart.shape_graph(w)
+    values = all_joint_values(system, x)
+    frames = joint_frames(system, values)
+    closing = loop_graph(system, w, values, frames) if system.loops else ca.SX.zeros(0, 1)
+    return FeelGraphs(
+        twist=_twist(connection, root_axes(system)),
+        curvature=_function("curvature", [w, u, v], _curvature(connection, w, u, v)),
+        placements=_function("placements", [w], _placements(system, frames)),
+        loops=_function("loops", [w], closing),
+    )
+
+
+def root_axes(system: System) -> Array:
+    """Return the twists of the root joint in its body's frame, (6, r)."""
+    return axes_of(system.model.joints[1])
+
+
+def _twist(connection: Connection, S: Array) -> ca.Function:
+    m, r = connection.m, connection.r
+    w, wdot, momentum = ca.SX.sym("w", m), ca.SX.sym("wdot", m), ca.SX.sym("momentum", 6)
+    mu = ca.DM(S.T) @ momentum if connection.form.momentum else ca.SX.zeros(r, 1)
+    graph = momentum_velocity_graph(connection.form)
+    xi = graph(ca.vertcat(w, wdot, mu), ca.SX.sym("none"))
+    return _function("twist", [w, wdot, momentum], ca.DM(S) @ xi)
+
+
+def _horizontal(connection: Connection, w: ca.SX, wdot: ca.SX) -> ca.SX:
+    values = velocity_graph(connection.form)(ca.vertcat(w, wdot), ca.SX.sym("none"))
+    return values[: connection.r]
+
+
+def _curvature(connection: Connection, w: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
+    """Return ∂_u(A v) − ∂_v(A u) − [A u, A v], (r,)."""
+    Au, Av = -_horizontal(connection, w, u), -_horizontal(connection, w, v)
+    exterior = ca.jtimes(Av, w, u) - ca.jtimes(Au, w, v)
+    return exterior - bracket(connection.group, Au, Av)
+
+
+def _placements(system: System, frames: list[Placement]) -> ca.SX:
+    """Return the placements of the joints after the root, and the centre of mass."""
+    bodies = list(zip(system.sorted_model.inertias, frames, strict=True))[1:]
+    moment = sum(
+        (body.mass * (p + rotate(q, ca.SX(body.lever))) for body, (p, q) in bodies), ca.SX.zeros(3)
+    )
+    entries = [entry for placement in frames[2:] for entry in placement]
+    return ca.vertcat(*entries, moment / sum(body.mass for body, _ in bodies))
+
+
+def _function(name: str, inputs: list[ca.SX], output: ca.SX) -> ca.Function:
+    """Return a Function of all inputs in one column."""
+    y = ca.SX.sym("y", sum(entry.numel() for entry in inputs))
+    ends = np.cumsum([0, *(entry.numel() for entry in inputs)])
+    parts = [y[int(a) : int(b)] for a, b in pairwise(ends)]
+    inner = ca.Function(name, inputs, [ca.densify(output)], {"cse": True})
+    return ca.Function(name, [y], [inner(*parts)], {"cse": True})
+
+
+def loop_graph(
+    system: System, w: ca.SX, values: Sequence[ca.SX], frames: Sequence[Placement]
+) -> ca.SX:
+    """Return the independent equations φ and their Jacobian ∂φ/∂w, column by column, (k + k m,).
+
+    Args:
+        system: The system, with loops.
+        w: Coordinates of the open tree, (m,).
+        values: Coordinates of all joints of the tree, as functions of w.
+        frames: Placements of the joints relative to the root body, by Pinocchio's index.
+    Returns:
+        The expressions.
+    """
+    closure = system.closure
+    assert closure is not None
+    rows = [row for loop in system.loops for row in _equations(system, loop, values, frames)]
+    lengths = loop_kinematics(system).is_length
+    scaled = [row / closure.length if lengths[k] else row for k, row in enumerate(rows)]
+    phi = ca.vertcat(*(scaled[k] for k in closure.rows.tolist()))
+    return ca.vertcat(phi, ca.vec(ca.densify(ca.jacobian(phi, w))))
+
+
+def _equations(
+    system: System,
+    loop: Loop | JointPolynomial,
+    values: Sequence[ca.SX],
+    frames: Sequence[Placement],
+) -> list[ca.SX]:
+    """Return the equations of one loop, in the order of LoopKinematics."""
+    if isinstance(loop, JointPolynomial):
+        follower, leader = (
+            values[system.tree.joints[i - 2].x.start]
+            for i in JointLaw(system.sorted_model, loop).joints
+        )
+        by = leader - loop.leader_zero
+        law = sum(c * by**k for k, c in enumerate(loop.coefficients))
+        return [follower - loop.follower_zero - law]
+    a, b = (
+        compose(frames[end.joint], fixed_placement(pin.SE3(end.placement)))
+        for end in loop_ends(system.sorted_model, loop)
+    )
+    p, q = compose(inverse(a), b)
+    position = [p[0], p[1], p[2]]
+    if loop.kind == "3d":
+        return position
+    columns: list[Array] = [np.eye(3)[k] for k in range(3)]
+    R = ca.horzcat(*(rotate(q, ca.SX(column)) for column in columns))
+    if loop.kind == "6d":
+        turn = [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]
+        return [*position, *(0.5 * entry for entry in turn)]
+    return [*position, *(R[i, k] for i, k in rotation_axes(loop.kind))]
+
+
+_FARTHEST = np.pi  # largest range of a joint without narrower limits [rad | m]
+_SHRINKING = (1.0, 0.5, 0.25, 0.1, 0.0)  # fractions of the way to a shape that may be out of reach
+
+
+@dataclass(frozen=True, eq=False)
+class FeltRobot(FrozenArrays):
+    """A robot that is moved by hand; arrays are read-only.
+
+    Attributes:
+        connection: Connection of the open tree, in rotation vectors of balls.
+        moved: Connection over the independent coordinates.
+        system: The system.
+        chart: Independent joints of a robot with closed loops, or None.
+        independent: Indices of the independent coordinates, (d,).
+        names: Names of the independent coordinates, (d,).
+        units: Their units, (d,).
+        rest: Coordinates w of the first shape, (m,).
+        low: Lower limits of all coordinates, (m,) [rad | m].
+        high: Upper limits, (m,) [rad | m].
+    """
+
+    connection: Connection
+    moved: Connection
+    system: System
+    chart: LoopChart | None
+    independent: NDArray[np.intp]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    rest: Array
+    low: Array
+    high: Array
+
+    @property
+    def dim(self) -> int:
+        """Number of independent coordinates, d."""
+        return len(self.independent)
+
+    def shape(self, u: Array) -> Array:
+        """Return the shape of the system at independent coordinates u (d,), (nx,).
+
+        Raises:
+            SingularInertiaError: The loops do not close there.
+        """
+        if self.chart is not None:
+            return np.asarray(self.chart.shapes(u[None])[0])
+        return u if self.moved.chart is None else self.moved.chart.shapes(u)
+
+    def random(self, count: int) -> list[Array]:
+        """Return independent coordinates within the limits, of which the first are at rest.
+
+        Args:
+            count: Number of shapes.
+        Returns:
+            Coordinates, (d,) each, at which the loops close.
+        """
+        rng, start = np.random.default_rng(0), self.rest[self.independent]
+        low, high = self.low[self.independent], self.high[self.independent]
+        found = [start]
+        for u in rng.uniform(low, high, (count - 1, self.dim)):
+            for part in _SHRINKING:
+                with suppress(PinredError):  # the loops do not close there
+                    self.shape(start + part * (u - start))
+                    found.append(start + part * (u - start))
+                    break
+        return found
+
+
+def felt_robot(source: System | Connection) -> FeltRobot:
+    """Return the robot of a system, or of a connection of a system.
+
+    Args:
+        source: A system, whose mechanical connection is used, or a connection of a system.
+    Returns:
+        The robot.
+    Raises:
+        InputError: There are no joints, or the connection has no system.
+        SymmetryError: Gravity changes the momenta.
+    """
+    connection = source if isinstance(source, Connection) else Connection.mechanical(source)
+    connection.refuse_gravity()
+    code = connection.code
+    chart = code.chart if isinstance(code, LoopConnectionCode) else None
+    system = code.chart_system if isinstance(code, LoopConnectionCode) else connection.system
+    if system is None:
+        raise InputError("feel: expected a System, or a Connection of a System as loaded")
+    if not connection.m:
+        raise InputError(f"feel: '{system.name}' has no joints to move")
+    if chart is None:
+        moved = tree = connection.in_chart()
+        rest, independent = np.zeros(system.m), np.arange(system.m, dtype=np.intp)
+    else:
+        moved, (tree, rest) = connection, _open_tree(system)
+        independent = chart.independent.copy()
+    low, high = _limits(tree, system)
+    if chart is None:
+        rest = np.clip(rest, low, high)
+    else:  # the assembled shape may be beyond the limits
+        low, high = np.minimum(low, rest), np.maximum(high, rest)
+    return FeltRobot(
+        connection=tree,
+        moved=moved,
+        system=system,
+        chart=chart,
+        independent=independent,
+        names=tuple(system.space.names[k] for k in independent),
+        units=tuple(system.units[k] for k in independent),
+        rest=rest,
+        low=low,
+        high=high,
+    )
+
+
+def _open_tree(system: System) -> tuple[Connection, Array]:
+    """Return the connection of the tree of a robot with loops, and a closed shape, (m,)."""
+    assert system.closure is not None
+    tree, closed = system.open_tree(), np.asarray(system.closure.x)
+    centre, rest = np.array(system.space.neutral), np.zeros(system.m)
+    for joint in system.space.joints:
+        if joint.kind.is_ball:
+            centre[joint.x] = closed[joint.x]
+        else:
+            rest[joint.v] = closed[joint.x]
+    connection = Connection.mechanical(tree)
+    return connection.in_chart(centre if system.space.balls else None), rest
+
+
+def _limits(connection: Connection, system: System) -> tuple[Array, Array]:
+    """Return the limits of all coordinates, (m,) [rad | m]."""
+    model, space = system.sorted_model, system.space
+    low, high = np.full(system.m, -_FARTHEST), np.full(system.m, _FARTHEST)
+    for joint in space.joints:
+        number = model.joints[model.getJointId(joint.name)]
+        if joint.kind.m == 1 and number.nq == 1:
+            least, most = (
+                float(limit[number.idx_q])
+                for limit in (model.lowerPositionLimit, model.upperPositionLimit)
+            )
+            centre = 0.0 if connection.chart is None else float(connection.chart.centre[joint.x][0])
+            if least < most:
+                low[joint.v] = max(least - centre, -_FARTHEST)
+                high[joint.v] = min(most - centre, _FARTHEST)
+    wrong = ~(low < high)
+    low[wrong], high[wrong] = -_FARTHEST, _FARTHEST
+    return low, high
+
 
 _SCRIPTS = ("lift.js", "closed_shapes.js", "loops.js", "plane.js", "feel.js")
 _SPIN, _DRIFT = (

@@ -1,9 +1,7 @@
-"""Films: PNG frames, mp4 and gif, captured from the page in a headless browser."""
+"""Films: PNG frames, mp4 and gif."""
 
 from __future__ import annotations
 
-import base64
-import io
 import os
 import re
 import shutil
@@ -14,29 +12,39 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from types import FrameType
 
+import numpy as np
+import PIL.Image  # a dependency of meshcat
+from PIL.Image import Image as Picture
+
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError, OutputError
 from ...common.files import check_path, write_atomic
 from ...common.optional_packages import install_command
-from ...common.progress import Progress, quiet, shown
+from ...common.progress import Progress, one_by_one, quiet, shown
 from ...common.waiting import say
+from ...simulation.simulate import simulate
+from ...system.load import load
+from ...system.robot_files import has_example_robots
 from ..motion_source import MotionSource
-from .headless_browser import Browser, browser
-from .page import page
+from .film_frames import Frames
 from .playback import frame_times
-from .view_options import View
+from .view_options import FILM_FPS, View
 
 SIZE = (960, 720)
 MOST_FRAMES, MOST_FPS = 20_000, 120
+_BUNDLED, _EXAMPLES = ("falling_cat", "satellite_two_arms"), ("solo12", "talos")
+_SPAN, _TIMED = 2.0, 15  # duration [s] and number of frames of a measurement
 _MEASURED = 5  # number of frames whose time is measured to estimate that of all
 _PATIENCE = 2.0  # least remaining time that is announced [s]
 GIF_FPS = (0.01, 50.0)  # gif delays are multiples of 0.01 s; browsers slow delays below 0.02 s
+_LEVEL = 3  # of the compression of PNG pictures; higher levels take much longer
 SUFFIXES = (".mp4", ".gif", ".png")
-_PNG = "data:image/png;base64,"  # start of the pictures that the page returns
 
 
 def save_film(
@@ -59,7 +67,7 @@ def save_film(
     Returns:
         Number of frames.
     Raises:
-        InputError: An option is invalid, or Chromium or ffmpeg is not installed.
+        InputError: An option is invalid, or ffmpeg is not installed.
         OutputError: Rendering or writing fails.
     """
     path = check_path(path, SUFFIXES)
@@ -82,10 +90,10 @@ def save_film(
             _tidy_at_sigterm(),
             shown(progress, "film", len(times), "frames", "renders a film", reports=True) as report,
             closing(
-                capture_frames(
+                _draw_frames(
                     source,
                     times,
-                    pixels,
+                    (pixels[0], pixels[1]),
                     view,
                     _announcing(report, len(times)) if progress is None else report or quiet,
                 )
@@ -95,7 +103,7 @@ def save_film(
                 return write_frames(path, shots)
             if path.suffix == ".gif":
                 return write_gif(path, shots, view.fps)
-            return _write_mp4(path, shots, view.fps, encoder)
+            return _write_mp4(path, shots, view.fps, encoder, pixels)
     except OSError as error:
         raise OutputError(f"cannot write '{path}': {error.strerror or error}") from error
 
@@ -177,38 +185,14 @@ def _tidy_at_sigterm() -> Iterator[None]:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
-def capture_frames(
-    source: MotionSource,
-    times: Array,
-    size: Sequence[int],
-    view: View,
-    progress: Progress,
-) -> Generator[bytes]:
-    """Yield PNG pictures of a motion's page at some times."""
-    content = page(source, view)
-    with tempfile.TemporaryDirectory() as folder, browser() as screen:
-        file = Path(folder, "film.html")
-        file.write_bytes(content)
-        screen.open(f"{file.as_uri()}#bare", width=size[0], height=size[1])
-        screen.wait_for("window.pinred !== undefined")
-        for k, shot in enumerate(take_pictures(screen, times.tolist()), start=1):
-            yield shot
-            progress(k / len(times))
-
-
-def take_pictures(screen: Browser, times: Sequence[float]) -> Iterator[bytes]:
-    """Yield PNG pictures of an open page at some times.
-
-    The page encodes each picture while its renderer draws the next one. A screenshot would draw
-    each picture a second time.
-
-    Args:
-        screen: The browser with the page.
-        times: Times of the motion [s].
-    """
-    following = [*map(repr, times[1:]), "null"]
-    for t, after in zip(times, following, strict=True):
-        yield base64.b64decode(screen.run(f"pinred.picture({t!r}, {after})").removeprefix(_PNG))
+def _draw_frames(
+    source: MotionSource, times: Array, size: tuple[int, int], view: View, progress: Progress
+) -> Generator[Picture]:
+    """Yield pictures of a motion at some times."""
+    frames = Frames(source, view, size)
+    for k, t in enumerate(times.tolist(), start=1):
+        yield frames.draw(t)
+        progress(k / len(times))
 
 
 def _frame_path(path: Path, k: int) -> Path:
@@ -241,15 +225,15 @@ def check_frames(path: Path, count: int) -> None:
         )
 
 
-def write_frames(path: Path, shots: Iterator[bytes]) -> int:
-    """Write PNG pictures as film_0000.png and so on; on failure, no frame is written.
+def write_frames(path: Path, shots: Iterator[Picture]) -> int:
+    """Write pictures as film_0000.png and so on; on failure, no frame is written.
 
     The frames are written to a temporary folder and moved when all are complete. If moving
     fails, the old frames are restored.
 
     Args:
         path: Path of the film.
-        shots: PNG pictures.
+        shots: The pictures.
     Returns:
         Number of frames.
     """
@@ -259,7 +243,7 @@ def write_frames(path: Path, shots: Iterator[bytes]) -> int:
         old.mkdir()
         count = 0
         for count, shot in enumerate(shots, start=1):
-            _frame_path(new / path.name, count - 1).write_bytes(shot)
+            shot.save(_frame_path(new / path.name, count - 1), compress_level=_LEVEL)
         check_frames(path, count)
         targets: list[Path] = []
         try:
@@ -278,25 +262,23 @@ def write_frames(path: Path, shots: Iterator[bytes]) -> int:
     return count
 
 
-def write_gif(path: Path, shots: Iterator[bytes], fps: float) -> int:
-    """Write PNG pictures as a gif.
+def write_gif(path: Path, shots: Iterator[Picture], fps: float) -> int:
+    """Write pictures as a gif.
 
     Frame durations are whole hundredths of a second.  They vary, so that each frame ends as close
     to its time as possible.
 
     Args:
         path: The file.
-        shots: PNG pictures.
+        shots: The pictures.
         fps: Frames per second.
     Returns:
         Number of frames.
     """
-    from PIL import Image  # a dependency of meshcat
-
-    method = Image.Quantize.FASTOCTREE  # the default method spends most colours on the background
-    pictures = [
-        Image.open(io.BytesIO(shot)).convert("RGB").quantize(method=method) for shot in shots
-    ]
+    method = (
+        PIL.Image.Quantize.FASTOCTREE
+    )  # the default method spends most colours on the background
+    pictures = [shot.quantize(method=method) for shot in shots]
     ends = [round(100.0 * k / fps) for k in range(len(pictures) + 1)]
     write_atomic(
         path,
@@ -308,13 +290,16 @@ def write_gif(path: Path, shots: Iterator[bytes], fps: float) -> int:
     return len(pictures)
 
 
-def _write_mp4(path: Path, shots: Iterator[bytes], fps: float, encoder: str) -> int:
+def _write_mp4(
+    path: Path, shots: Iterator[Picture], fps: float, encoder: str, size: Sequence[int]
+) -> int:
     with tempfile.TemporaryDirectory() as folder:
         film, count = Path(folder, "film.mp4"), 0
         command = [
-            encoder, "-loglevel", "error", "-f", "image2pipe", "-framerate", f"{fps:g}",
-            "-c:v", "png", "-i", "-", "-c:v", "libx264", "-preset", "veryfast", "-pix_fmt",
-            "yuv420p", "-crf", "20", "-movflags", "+faststart", str(film),
+            encoder, "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24",
+            "-s", f"{size[0]}x{size[1]}", "-framerate", f"{fps:g}", "-i", "-",
+            "-c:v", "libx264", "-preset", "veryfast", "-pix_fmt", "yuv420p",
+            "-crf", "20", "-movflags", "+faststart", str(film),
         ]  # fmt: skip
         with (
             Path(folder, "log").open("w+", encoding="utf-8", errors="replace") as log,
@@ -322,7 +307,7 @@ def _write_mp4(path: Path, shots: Iterator[bytes], fps: float, encoder: str) -> 
         ):
             try:
                 for shot in shots:
-                    ffmpeg.stdin.write(shot)  # type: ignore[union-attr]
+                    ffmpeg.stdin.write(shot.tobytes())  # type: ignore[union-attr]
                     count += 1
                 ffmpeg.stdin.close()  # type: ignore[union-attr]
             except BrokenPipeError:
@@ -336,3 +321,55 @@ def _write_mp4(path: Path, shots: Iterator[bytes], fps: float, encoder: str) -> 
                 raise OutputError(f"ffmpeg failed: {lines[-1] if lines else f'code {code}'}")
         write_atomic(path, lambda file: file.write(film.read_bytes()))
     return count
+
+
+@checks_arguments
+@dataclass(frozen=True)
+class FilmTiming:
+    """Time of a frame of a robot's film; the median of several frames.
+
+    Attributes:
+        robot: Name of the robot.
+        triangles: Number of triangles.
+        frame: Processor time of a frame, without its encoding [s].
+    """
+
+    robot: str
+    triangles: int
+    frame: float
+
+    @staticmethod
+    def header() -> str:
+        """Return the header of the table."""
+        return f"{'robot':<20} {'triangles':>10} {'frame [s]':>10} {'per second':>11}"
+
+    def __str__(self) -> str:
+        rate = 1.0 / self.frame
+        return f"{self.robot:<20} {self.triangles:>10} {self.frame:>10.4f} {rate:>11.1f}"
+
+
+@checks_arguments
+def bench_films(
+    robots: Sequence[str] = (), *, progress: Progress | bool | None = None
+) -> list[FilmTiming]:
+    """Measure the time of a film's frame for each robot.
+
+    Args:
+        robots: Names or files; two bundled robots and, if installed, solo12 and talos by default.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        One result for each robot.
+    """
+    names = list(robots) or [*_BUNDLED, *(_EXAMPLES if has_example_robots() else ())]
+    return one_by_one(names, _bench_film, progress, "films")
+
+
+def _bench_film(name: str) -> FilmTiming:
+    traj = simulate(load(name, gravity=(0.0, 0.0, 0.0)), seed=1, duration=_SPAN)
+    frames, seconds = Frames(traj, View(fps=FILM_FPS), SIZE), []
+    frames.draw(0.0)  # loads or compiles the code
+    for t in np.linspace(0.0, _SPAN, _TIMED).tolist():
+        began = time.process_time()
+        frames.draw(t)
+        seconds.append(time.process_time() - began)
+    return FilmTiming(name, frames.triangles, float(np.median(seconds)))

@@ -30,7 +30,7 @@ from .view_options import View
 # The page contains the viewer, so it must contain the viewer's licences.
 _LICENCES = ("viewer/LICENSE", "viewer/dist/main.min.js.THIRD_PARTY_LICENSES.json")
 STAGE = ("field.js", "overlays.js", "stage.js")  # scripts that all pages with a robot share
-_SCRIPTS = (*STAGE, "panel.js", "occlusion.js", "background.js", "capture.js", "player.js")
+_SCRIPTS = (*STAGE, "panel.js", "player.js")
 
 
 def page(source: MotionSource, view: View) -> bytes:

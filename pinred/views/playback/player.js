@@ -12,8 +12,6 @@
   const ellipsoid = array(head.ellipsoid);
   const momentum = array(head.momentum.vector), tail = array(head.momentum.tail);
   const still = head.momentum.largest === 0;
-  const bare = location.hash === "#bare"; // films have no controls
-  document.body.classList.toggle("bare", bare);
 
   const shade = new THREE.MeshPhongMaterial({ color: 0x0072b2, opacity: 0.38, transparent: true,
     side: THREE.DoubleSide, flatShading: true });
@@ -224,8 +222,6 @@
     play: () => setPlaying(true),
     pause: () => setPlaying(false),
     seek: (t) => { show(t); viewer.render(); },
-    picture: bare ? capture(viewer, show, reduced) : null, // of a time, as the data URL of a PNG
-    get triangles() { return viewer.renderer.info.render.triangles; }, // in the last picture
     node, // three.js object at a path of the viewer's scene
     project: at.project,
   };

@@ -17,11 +17,12 @@ from ...common.errors import OutputError
 from ...common.files import check_path, write_atomic
 from ...common.optional_packages import install_command, optional_package
 from ...common.waiting import Wait
+from ...lie.rotations import rotation
 from ..motion_source import MotionSource
 from .drawn_bodies import PALETTE, drawn_bodies
 from .framing import Framing, camera, frame
 from .playback import Playback, playback
-from .scene_nodes import ARROW_COLOUR, Node, Part, momentum_arrow, scene_nodes
+from .scene_nodes import Node, Part, scene_nodes
 from .solid_meshes import facets, vertex_normals
 from .view_options import View
 from .viser_player import refuse_pair
@@ -57,7 +58,8 @@ def save_rrd(source: MotionSource, path: str | Path, view: View) -> int:
     framing = frame(film, bodies)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "motion.rrd")
-        _Writer(rerun, film, file).write(scene_nodes(film, bodies, framing), framing, view)
+        nodes = scene_nodes(film, bodies, framing, view.speed)
+        _Writer(rerun, film, file).write(nodes, framing, view)
         size = file.stat().st_size
         with file.open("rb") as content:
             write_atomic(path, lambda target: shutil.copyfileobj(content, target))
@@ -93,7 +95,6 @@ class _Writer:
         )
         for node in nodes:
             self._write_node(node)
-        self._write_arrow(framing)
         plots = self._write_plots()
         self._stream.send_blueprint(self._blueprint(plots, framing, view))
         self._stream.flush()
@@ -107,18 +108,31 @@ class _Writer:
 
     def _write_node(self, node: Node) -> None:
         rerun, path = self._rerun, self._rerun.new_entity_path
-        poses = node.placements
-        if np.ptp(poses, axis=0).any():
+        poses, at = node.placements, path([*node.path])
+        if node.stretch is not None:
+            moves = rerun.Transform3D.columns(
+                translation=poses[:, :3], mat3x3=rotation(poses[:, 3:]) @ node.stretch
+            )
+            self._send(at, moves)
+        elif np.ptp(poses, axis=0).any():
             moves = rerun.Transform3D.columns(translation=poses[:, :3], quaternion=poses[:, 3:])
-            self._send(path([*node.path]), moves)
+            self._send(at, moves)
         else:
-            self._log(path([*node.path]), self._transform(poses[0]))
+            self._log(at, self._transform(poses[0]))
         for k, part in enumerate(node.parts):
-            at = path([*node.path, str(k)])
-            self._log(at, self._transform(part.placement), self._mesh(part))
+            entity = path([*node.path, str(k)])
+            self._log(entity, self._transform(part.placement), self._mesh(part))
+            if node.opacity is not None:
+                tints = np.tile(part.colour, (len(node.opacity), 1))
+                tints[:, 3] *= node.opacity
+                self._send(entity, rerun.Mesh3D.columns(albedo_factor=_bytes_of(tints)))
         for k, line in enumerate(node.lines):
             strip = rerun.LineStrips3D([line.points], colors=[line.colour], radii=[_PIXELS])
             self._log(path([*node.path, f"line {k}"]), strip)
+        if node.label:
+            colour = node.parts[0].colour
+            label = rerun.Points3D([np.zeros(3)], labels=[node.label], colors=[colour], radii=[0.0])
+            self._log(path([*node.path, "label"]), label)
 
     def _transform(self, pose: Array) -> Any:
         quaternion = self._rerun.Quaternion(xyzw=pose[3:])
@@ -130,14 +144,6 @@ class _Writer:
             vertex_positions=mesh.vertices, triangle_indices=mesh.faces,
             vertex_normals=vertex_normals(mesh), albedo_factor=part.colour,
         )  # fmt: skip
-
-    def _write_arrow(self, framing: Framing) -> None:
-        rerun, arrow = self._rerun, momentum_arrow(self._film, framing)
-        if arrow is not None:
-            path = rerun.new_entity_path(["overlays", "momentum"])
-            look = {"colors": [ARROW_COLOUR], "radii": [0.03 * framing.radius]}
-            self._log(path, rerun.Arrows3D.from_fields(**look))
-            self._send(path, rerun.Arrows3D.columns(vectors=arrow.vector, origins=arrow.tail))
 
     def _write_plots(self) -> list[str]:
         """Write energy, momentum and shape over time; return the names of the plots."""
@@ -183,3 +189,10 @@ class _Writer:
         )
         layout = blueprint.Horizontal(space, blueprint.Vertical(*views), column_shares=[2.0, 1.0])
         return blueprint.Blueprint(layout, time, collapse_panels=True)
+
+
+def _bytes_of(colours: Array) -> Array:
+    """Return colours as numbers of 32 bits: red, green, blue and opacity, (F,)."""
+    bits = np.round(255.0 * colours).astype(np.uint32)
+    packed: Array = (bits << np.array([24, 16, 8, 0], dtype=np.uint32)).sum(axis=1, dtype=np.uint32)
+    return packed

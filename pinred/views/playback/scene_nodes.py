@@ -1,4 +1,7 @@
-"""Contents of a film for viewers with a scene tree: nodes that move, with meshes and lines."""
+"""The description of a motion's frames, from which films, viser's page and rerun's files are made.
+
+All objects are nodes that move, with meshes and lines.  A writer draws nodes and knows no motion.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +9,25 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
 from ...common.arrays import Array, FrozenArrays
+from ...lie.rotations import rotation
 from ...system.mesh_files import Mesh
 from .drawn_bodies import Bodies, Colour, Solid
 from .framing import Framing
 from .playback import Playback
 from .solid_meshes import solid_mesh
 
-ARROW_COLOUR, TRAIL_COLOUR = (0.84, 0.37, 0.0), (0.07, 0.07, 0.07)
-_SPHERE_COLOUR = (0.67, 0.20, 0.47)
+BLACK, ORANGE, PURPLE = (0.07, 0.07, 0.07), (0.84, 0.37, 0.0), (0.48, 0.31, 0.64)
+_AXES = ((0.80, 0.20, 0.07), (0.0, 0.62, 0.45), (0.0, 0.33, 0.80))  # of frames: x, y, z
+_HULL, _RINGS, _BROWN = (0.34, 0.71, 0.91, 0.1), (0.12, 0.44, 0.66, 0.55), (0.55, 0.32, 0.04)
+_SPHERE = (0.67, 0.20, 0.47)
 _GHOST_COLOUR = (0.0, 0.45, 0.70, 0.38)
 _ARROW_LENGTH = 1.25  # length of the momentum arrow, in radii of the robot
+_FADE = 0.25  # time in which the flash of an impact fades, at the film's speed [s]
 _STILL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # identity placement
+_BEHIND, _ABOVE, _TOP = 1, 2, 3  # order of objects that are drawn over everything else
 
 
 @dataclass(frozen=True)
@@ -30,20 +39,29 @@ class Part:
         flat: Whether each triangle has a constant brightness.
         placement: Position [m] and quaternion (real part last) in the node's frame, (7,).
         colour: Red, green, blue, opacity.
+        lit: Whether lamps change its brightness.
     """
 
     mesh: Mesh
     flat: bool
     placement: Array
     colour: Colour
+    lit: bool = True
 
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a node: points (N, 3) [m], and red, green and blue."""
+    """A line of a node.
+
+    Attributes:
+        points: Points, (N, 3) [m].
+        colour: Red, green, blue, opacity.
+        grows: Whether it is drawn up to the current frame only; it has a point for each frame.
+    """
 
     points: Array
-    colour: tuple[float, float, float]
+    colour: Colour
+    grows: bool = False
 
 
 @dataclass(frozen=True)
@@ -55,12 +73,20 @@ class Node:
         placements: Position [m] and quaternion (real part last) in the world frame, (F, 7).
         parts: Meshes.
         lines: Lines.
+        stretch: Matrices that deform the node in its own frame, (F, 3, 3); None for a rigid node.
+        opacity: Factors on the opacity of the parts, (F,), or None.
+        order: 0 if nearer objects hide it; otherwise it is drawn over all nodes of lower order.
+        label: Text at the origin of the node, in the colour of the first part.
     """
 
     path: tuple[str, str]
     placements: Array
     parts: tuple[Part, ...] = ()
     lines: tuple[Line, ...] = ()
+    stretch: Array | None = None
+    opacity: Array | None = None
+    order: int = 0
+    label: str = ""
 
 
 @dataclass(frozen=True)
@@ -71,33 +97,155 @@ class Arrow(FrozenArrays):
     vector: Array
 
 
-def scene_nodes(film: Playback, bodies: Bodies, framing: Framing) -> list[Node]:
-    """Return all objects of a film except the momentum arrow.
+def scene_nodes(film: Playback, bodies: Bodies, framing: Framing, speed: float) -> list[Node]:
+    """Return all objects of a film.
 
     Args:
         film: The motion.
         bodies: Shapes of the robot.
         framing: Framing of the film.
+        speed: Seconds of the motion in one second of the film.
     Returns:
-        The robot, its ghost, the trail of the centre of mass, and the momentum sphere.
+        The robot, its ghost, and the overlays: locked inertia, momentum arrow, axes of the base and
+        of ball joints, centre of mass, gravity, momentum sphere and flashes of impacts.
     """
     nodes = list(_robot("robot", film, film.placements, bodies))
     if film.ghost is not None:
         placements = film.ghost.placements.copy()
         placements[..., :3] += framing.aside
         nodes += _robot("full simulation", film, placements, bodies, _GHOST_COLOUR)
-    trail = Line(film.com, TRAIL_COLOUR)
-    still = np.broadcast_to(_STILL, (len(film.t), 7))
-    nodes.append(Node(("overlays", "trail"), still, lines=(trail,)))
+    return [*nodes, *_overlays(film, framing), *_flashes(film, framing, speed)]
+
+
+def _overlays(film: Playback, framing: Framing) -> Iterator[Node]:
+    """Yield the objects that move with joints, the centre of mass and the momentum."""
+    radius, system = framing.radius, film.system
+    hull = _solid("ellipsoid", (1.0, 1.0, 1.0), _HULL)
+    yield Node(
+        ("overlays", "locked inertia"), _at(film.com), (hull,), _circles(_RINGS),
+        stretch=film.ellipsoid,
+    )  # fmt: skip
     if film.sphere is not None:
         placements = film.placements[:, film.sphere.joint].copy()
         placements[:, :3] = film.momentum.tail
-        radius = _ARROW_LENGTH * framing.radius
-        ball = Solid(0, "sphere", (radius,), _STILL, (*_SPHERE_COLOUR, 0.12))
-        path = Line(radius * film.sphere.path, _SPHERE_COLOUR)
-        part = _part(ball, ())
-        nodes.append(Node(("overlays", "momentum sphere"), placements, (part,), (path,)))
-    return nodes
+        size = _ARROW_LENGTH * radius
+        part = _solid("sphere", (size,), (*_SPHERE, 0.08))
+        path = Line(size * film.sphere.path, (*_SPHERE, 1.0))
+        yield Node(("overlays", "momentum sphere"), placements, (part,), (path,))
+    yield Node(
+        ("overlays", "base frame"), film.placements[:, 1], _axes(0.5 * radius, 0.013 * radius),
+        order=_BEHIND,
+    )  # fmt: skip
+    for ball in system.space.balls:
+        joint = system.sorted_model.getJointId(ball.name)
+        dot = _solid("sphere", (0.035 * radius,), (*PURPLE, 1.0), lit=False)
+        parts = (*_axes(0.13 * radius, 0.008 * radius), dot)
+        name = f"ball joint {ball.name}"
+        yield Node(("overlays", name), film.placements[:, joint], parts, order=_BEHIND)
+    if (arrow := momentum_arrow(film, framing)) is not None:
+        look = (0.016 * radius, 0.05 * radius, 0.17 * radius, ORANGE, _ABOVE)
+        yield from _arrow("momentum", arrow, *look)
+    if system.gravity.any():
+        along = 0.5 * radius * system.gravity / np.linalg.norm(system.gravity)
+        middle = film.com + framing.gravity_at
+        arrow = Arrow(middle - 0.5 * along, np.broadcast_to(along, middle.shape))
+        look = (0.012 * radius, 0.048 * radius, 0.15 * radius, _BROWN, _ABOVE)
+        yield from _arrow("gravity", arrow, *look)
+        dot = _solid("sphere", (1e-6 * radius,), (*_BROWN, 1.0), lit=False)
+        yield Node(("overlays", "g"), _at(middle - 0.65 * along), (dot,), order=_ABOVE, label="g")
+    trail = Line(film.com, (*BLACK, 1.0), grows=True)
+    yield Node(("overlays", "trail"), _at(np.zeros_like(film.com)), lines=(trail,), order=_ABOVE)
+    dot = _solid("sphere", (0.03 * radius,), (*BLACK, 1.0), lit=False)
+    yield Node(("overlays", "centre of mass"), _at(film.com), (dot,), order=_TOP)
+
+
+def _flashes(film: Playback, framing: Framing, speed: float) -> Iterator[Node]:
+    """Yield a ball for each joint that hits a stop, visible for a moment after each impact."""
+    names = film.system.sorted_model.names
+    for joint in np.unique(film.impacts[:, 1]).astype(int):
+        times = np.sort(film.impacts[film.impacts[:, 1] == joint, 0])
+        last = np.concatenate([[-np.inf], times])[np.searchsorted(times, film.t, side="right")]
+        opacity = np.clip(1.0 - (film.t - last) / (_FADE * speed), 0.0, 1.0)
+        ball = _solid("sphere", (0.1 * framing.radius,), (*ORANGE, 1.0), lit=False)
+        where = film.placements[:, joint]
+        name = f"impact at {names[int(joint)]}"
+        yield Node(("overlays", name), where, (ball,), opacity=opacity, order=_TOP)
+
+
+def _arrow(
+    name: str,
+    arrow: Arrow,
+    thin: float,
+    wide: float,
+    head: float,
+    colour: tuple[float, float, float],
+    order: int,
+) -> Iterator[Node]:
+    """Yield the shaft and the tip of an arrow.
+
+    Args:
+        name: Name of the node.
+        arrow: The arrow over time.
+        thin: Radius of the shaft [m].
+        wide: Radius of the tip [m].
+        head: Length of the tip [m].
+        colour: Red, green and blue.
+        order: Order of drawing.
+    Yields:
+        The nodes.
+    """
+    lengths = np.linalg.norm(arrow.vector, axis=1)
+    turns = np.array([_quaternion_to(vector) for vector in arrow.vector])
+    visible = (lengths > 0.0).astype(float)
+    stretch = np.zeros((len(lengths), 3, 3))
+    stretch[:, 0, 0] = stretch[:, 1, 1] = 1.0
+    stretch[:, 2, 2] = np.maximum(lengths - head, 1e-9 * head)
+    up = np.array([0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0])
+    shaft = _solid("cylinder", (thin, 0.5), (*colour, 1.0), up, lit=False)
+    tip = _solid("cone", (wide, 0.5 * head), (*colour, 1.0), lit=False)
+    placements = np.column_stack([arrow.tail, turns])
+    yield Node(
+        ("overlays", f"{name} shaft"), placements, (shaft,), stretch=stretch, opacity=visible,
+        order=order,
+    )  # fmt: skip
+    ends = placements.copy()
+    ends[:, :3] += rotation(turns)[..., 2] * (lengths - 0.5 * head)[:, None]
+    yield Node(("overlays", f"{name} tip"), ends, (tip,), opacity=visible, order=order)
+
+
+def _quaternion_to(vector: Array) -> Array:
+    """Return a quaternion that turns the z axis to a vector; the identity for zero."""
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), vector)
+    return np.array(turn.coeffs()) if vector.any() else _STILL[3:]
+
+
+def _axes(length: float, thin: float) -> tuple[Part, ...]:
+    """Return red, green and blue rods along the axes of a node."""
+    parts = []
+    for axis, colour in zip(np.eye(3), _AXES, strict=True):
+        placement = np.concatenate([0.5 * length * axis, _quaternion_to(axis)])
+        parts.append(_solid("cylinder", (thin, 0.5 * length), (*colour, 1.0), placement, lit=False))
+    return tuple(parts)
+
+
+def _circles(colour: Colour) -> tuple[Line, ...]:
+    """Return three equators of the unit sphere."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 97)
+    circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(97)])
+    return tuple(Line(np.roll(circle, k, axis=1), colour) for k in range(3))
+
+
+def _solid(
+    kind: str, size: tuple[float, ...], colour: Colour, placement: Array = _STILL, lit: bool = True
+) -> Part:
+    return Part(
+        solid_mesh(Solid(0, kind, size, placement, colour), ()), False, placement, colour, lit
+    )
+
+
+def _at(points: Array) -> Array:
+    """Return placements at points, (F, 3), without rotation."""
+    return np.column_stack([points, np.broadcast_to(_STILL[3:], (len(points), 4))])
 
 
 def momentum_arrow(film: Playback, framing: Framing) -> Arrow | None:

@@ -18,9 +18,6 @@ from numbers import Integral
 from typing import Any
 
 from ...common.errors import InputError, OutputError
-from ..motion_source import MotionSource
-from .page import page
-from .view_options import View
 
 HOST = "127.0.0.1"
 _HEIGHT = 520  # initial height of a page in a notebook cell, whose user can resize it [px]
@@ -146,29 +143,6 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
         """Print nothing."""
-
-
-def play(
-    source: MotionSource,
-    view: View,
-    *,
-    port: int | None = None,
-    show: bool = True,
-    wait: bool | None = None,
-) -> Player:
-    """Serve the playback of a motion and print its address.
-
-    Args:
-        source: The motion.
-        view: Options of the drawing.
-        port: Port; an unused port if None.
-        show: Open the user's browser.
-        wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
-    Returns:
-        The server.
-    """
-    check_port(port)  # check the port first, because building the page may take long
-    return serve(page(source, view), "playing at", port=port, show=show, wait=wait)
 
 
 def serve(

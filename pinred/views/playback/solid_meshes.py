@@ -59,6 +59,14 @@ def vertex_normals(mesh: Mesh) -> Array:
     return np.asarray(normals / np.where(lengths > 0.0, lengths, 1.0))
 
 
+def face_normals(mesh: Mesh) -> Array:
+    """Return unit normals of the triangles, (T, 3); zero for triangles without area."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(normals / np.where(lengths > 0.0, lengths, 1.0))
+
+
 def facets(mesh: Mesh) -> Mesh:
     """Return a mesh whose triangles share no vertices, so that each is drawn flat."""
     return Mesh(

@@ -11,8 +11,13 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import positive
 from ...common.errors import InputError
 from ...system.robot_files import mesh_folders
-from .viewers import PAGES
 
+PAGES = (".html", ".rrd")  # suffixes of files that play at any speed, in contrast to films
+VIEWERS = {  # {name: description}
+    "pinred": "pinred's page",
+    "viser": "the page of viser, which the extra viser installs",
+}
+VIEWER = "pinred"  # the default viewer
 FPS = 60.0  # default frames per second of playback
 FILM_FPS = 25.0  # default frames per second of films, whole hundredths of a second as gifs have
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from time import monotonic
@@ -19,18 +19,12 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.optional_packages import install_command, optional_package
+from ...lie.rotations import rotation
 from ..motion_source import MotionSource
 from .drawn_bodies import drawn_bodies
 from .framing import Framing, camera, frame
 from .playback import playback
-from .scene_nodes import (
-    ARROW_COLOUR,
-    Node,
-    interpolate,
-    interpolate_placements,
-    momentum_arrow,
-    scene_nodes,
-)
+from .scene_nodes import Node, Part, interpolate, interpolate_placements, scene_nodes
 from .server import HOST, Player, check_port
 from .view_options import View
 
@@ -74,13 +68,16 @@ class ViserPlayer(Player):
             raise InputError(f"port {port} is taken; choose another port, or none")
         self.url = f"http://{HOST}:{self.server.get_port()}/"
         self._lock, self._ended = threading.RLock(), threading.Event()
-        nodes = scene_nodes(film, bodies, self._framing)
+        nodes = scene_nodes(film, bodies, self._framing, view.speed)
+        self._nodes = nodes
         self._placements = np.stack([node.placements for node in nodes], axis=1)
-        self._arrow = momentum_arrow(film, self._framing)
         self._root = self.server.scene.add_frame("/world", show_axes=False)
         self._names = [node.path for node in nodes]
-        self._handles = [_draw(self.server.scene, node) for node in nodes]
-        self._arrow_handle = self._draw_arrow()
+        self._handles, self._meshes = [], []
+        for node in nodes:
+            handle, meshes = _draw(self.server.scene, node)
+            self._handles.append(handle)
+            self._meshes.append(meshes)
         _draw_grid(self.server.scene, self._framing)
         self._add_controls(view, bodies.note)
         self._aim()
@@ -95,15 +92,24 @@ class ViserPlayer(Player):
         with self._lock, self.server.atomic():
             self._time = float(np.clip(time, film.t[0], film.t[-1]))
             placements = interpolate_placements(film.t, self._placements, self._time)
-            for handle, placement in zip(self._handles, placements, strict=True):
+            for k, placement in enumerate(placements):
+                handle = self._handles[k]
                 handle.position, handle.wxyz = placement[:3], placement[[6, 3, 4, 5]]
+                self._change(self._nodes[k], self._meshes[k])
             com = interpolate(film.t, film.com, self._time)
             self._root.position = -com if self._follow.value else np.zeros(3)
-            if self._arrow is not None:
-                self._arrow_handle.position = interpolate(film.t, self._arrow.tail, self._time)
-                vector = interpolate(film.t, self._arrow.vector, self._time)
-                self._arrow_handle.points = _from_origin(vector)
             self._slider.value = self._time
+
+    def _change(self, node: Node, meshes: Sequence[Any]) -> None:
+        """Deform the meshes of a node, and set their opacity."""
+        for part, mesh in zip(node.parts, meshes, strict=True):
+            if node.stretch is not None:
+                stretch = interpolate(self._film.t, node.stretch, self._time)
+                mesh.vertices = (_placed(part) @ stretch.T).astype(np.float32)
+            if node.opacity is not None:
+                opacity = float(interpolate(self._film.t, node.opacity, self._time))
+                mesh.visible = opacity > 0.0
+                mesh.opacity = part.colour[3] * opacity
 
     def play(self) -> None:
         """Let the time run while a browser shows the page."""
@@ -157,9 +163,9 @@ class ViserPlayer(Player):
         self._slider.on_update(self._slide)
         self._button.on_click(lambda _: self.pause() if self._playing else self.play())
         self._follow.on_update(lambda _: self._aim(move=True))
-        if self._arrow is not None:
-            shown = gui.add_checkbox(film.momentum.words, True)
-            shown.on_update(lambda _: setattr(self._arrow_handle, "visible", shown.value))
+        for node, handle in zip(self._nodes, self._handles, strict=True):
+            if node.path[0] == "overlays":
+                self._add_switch(node.path[1], handle)
         if note:
             gui.add_markdown(note)
 
@@ -188,14 +194,9 @@ class ViserPlayer(Player):
         placed = camera(self._framing, FOV, follow=self._follow.value, aspect=aspect)
         client.camera.position, client.camera.look_at = placed.position, placed.target
 
-    def _draw_arrow(self) -> Any:
-        if self._arrow is None:
-            return None
-        radius = self._framing.radius
-        return self.server.scene.add_arrows(
-            "/world/overlays/momentum", _from_origin(self._arrow.vector[0]), _bytes(ARROW_COLOUR),
-            shaft_radius=0.016 * radius, head_radius=0.05 * radius, head_length=0.17 * radius,
-        )  # fmt: skip
+    def _add_switch(self, name: str, handle: Any) -> None:
+        shown = self.server.gui.add_checkbox(name, True)
+        shown.on_update(lambda _: setattr(handle, "visible", shown.value))
 
 
 @contextmanager
@@ -215,24 +216,34 @@ def refuse_pair(view: View, subject: str) -> None:
         raise InputError(f"pair: {subject} no shape panel; leave out pair=, or use pinred's page")
 
 
-def _draw(scene: Any, node: Node) -> Any:
-    """Add a node with its shapes to viser's scene; return its handle."""
+def _draw(scene: Any, node: Node) -> tuple[Any, list[Any]]:
+    """Add a node with its shapes to viser's scene; return its handle, and those of its meshes."""
     name = "/".join(["/world", *(part.replace("/", "_") for part in node.path)])
-    handle = scene.add_frame(name, show_axes=False)
+    handle, meshes = scene.add_frame(name, show_axes=False), []
     for k, part in enumerate(node.parts):
-        opacity = part.colour[3]
-        scene.add_mesh_simple(
-            f"{name}/{k}", part.mesh.vertices, part.mesh.faces, color=_bytes(part.colour[:3]),
-            opacity=opacity if opacity < 1.0 else None, cast_shadow=opacity == 1.0,
-            flat_shading=part.flat, side="double",
-            position=part.placement[:3], wxyz=part.placement[[6, 3, 4, 5]],
+        opacity, rigid = part.colour[3], node.stretch is None
+        mesh = scene.add_mesh_simple(
+            f"{name}/{k}", part.mesh.vertices if rigid else _placed(part), part.mesh.faces,
+            color=_bytes(part.colour[:3]), opacity=opacity if opacity < 1.0 else None,
+            cast_shadow=part.lit and opacity == 1.0, flat_shading=part.flat, side="double",
+            position=part.placement[:3] if rigid else np.zeros(3),
+            wxyz=part.placement[[6, 3, 4, 5]] if rigid else (1.0, 0.0, 0.0, 0.0),
         )  # fmt: skip
+        meshes.append(mesh)
     for k, line in enumerate(node.lines):
-        pairs = np.stack([line.points[:-1], line.points[1:]], axis=1)
-        scene.add_line_segments(
-            f"{name}/line {k}", pairs, _bytes(line.colour), thickness=2.0, thickness_units="screen"
-        )
-    return handle
+        if node.stretch is None:
+            pairs = np.stack([line.points[:-1], line.points[1:]], axis=1)
+            look = {"thickness": 2.0, "thickness_units": "screen"}
+            scene.add_line_segments(f"{name}/line {k}", pairs, _bytes(line.colour[:3]), **look)
+    if node.label:
+        scene.add_label(f"{name}/label", node.label)
+    return handle, meshes
+
+
+def _placed(part: Part) -> Array:
+    """Return the points of a part in the frame of its node, (V, 3) [m]."""
+    turn = rotation(part.placement[3:])
+    return np.asarray(part.mesh.vertices @ turn.T + part.placement[:3])
 
 
 def _draw_grid(scene: Any, framing: Framing) -> None:
@@ -244,10 +255,6 @@ def _draw_grid(scene: Any, framing: Framing) -> None:
         wxyz=rotation / np.linalg.norm(rotation), fade_distance=_FADE * distance,
         cell_size=framing.cell, section_size=5.0 * framing.cell,
     )  # fmt: skip
-
-
-def _from_origin(vector: Array) -> Array:
-    return np.stack([np.zeros(3), vector])[None]
 
 
 def _bytes(colour: tuple[float, ...]) -> tuple[int, ...]:

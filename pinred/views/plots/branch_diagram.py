@@ -17,14 +17,15 @@ from .style import PALETTE, figure, legend, styled
 
 GREY = "#555555"
 _SAME = 2e-3  # largest distance between lines that coincide, relative to the size of the figure
-_LINES: dict[
-    str, dict[str, Any]
-] = {  # line styles by the index of the amended potential: zero, even or odd
-    "stable": {"linestyle": "-", "linewidth": 1.8},
-    "index even": {"linestyle": (0, (5, 1.5)), "linewidth": 1.2},
-    "index odd: unstable": {"linestyle": (0, (1.2, 1.2)), "linewidth": 1.2},
+# Line styles by the index of the amended potential: the number of directions in which it falls.
+_STABLE, _EVEN, _ODD = "stable: a minimum", "undecided: index even", "unstable: index odd"
+_LINES: dict[str, dict[str, Any]] = {
+    _STABLE: {"linestyle": "-", "linewidth": 1.8},
+    _EVEN: {"linestyle": (0, (5, 1.5)), "linewidth": 1.2},
+    _ODD: {"linestyle": (0, (1.2, 1.2)), "linewidth": 1.2},
 }
 _MARKS = {"folds": "o", "pitchforks": "^", "crossings": "s"}
+_MEANINGS = {"folds": "fold", "pitchforks": "pitchfork", "crossings": "crossing"}
 
 
 @checks_arguments
@@ -32,7 +33,8 @@ _MARKS = {"folds": "o", "pitchforks": "^", "crossings": "s"}
 def branches(found: Branches, *, joint: str | int | None = None) -> Figure:
     """Draw the branches of relative equilibria against the momentum.
 
-    Solid lines are stable, dotted lines are unstable.
+    Solid lines are stable, dotted lines are unstable. The amended potential alone does not decide
+    whether dashed lines are stable.
 
     Args:
         found: Result of `pinred.branches`.
@@ -49,7 +51,9 @@ def branches(found: Branches, *, joint: str | int | None = None) -> Figure:
     system = found.system
     names = labels_of(system)
     k = None if joint is None else names.index(joint)
-    drawing = figure(f"{system.name}: relative equilibria", height=4.4)
+    is_linear = system.group.turns == 0
+    momentum = "momentum" if is_linear else "angular momentum"
+    drawing = figure(f"{system.name}: steady motions at each {momentum}", height=4.4)
     axes = drawing.subplots()
 
     def height(point: BranchPoint) -> float:
@@ -77,11 +81,10 @@ def branches(found: Branches, *, joint: str | int | None = None) -> Figure:
         if points:
             axes.plot(
                 [p.momentum for p in points], [height(p) for p in points],
-                linestyle="", marker=marker, color="black", markerfacecolor="white", label=name,
-                zorder=3,
+                linestyle="", marker=marker, color="black", markerfacecolor="white",
+                label=_MEANINGS[name], zorder=3,
             )  # fmt: skip
-    is_linear = system.group.turns == 0
-    axes.set_xlabel("momentum [N·s]" if is_linear else "angular momentum [N·m·s]")
+    axes.set_xlabel(f"{momentum} [{'N·s' if is_linear else 'N·m·s'}]")
     axes.set_ylabel("amended potential [J]" if k is None else names.with_unit(k))
     legend(axes)
     return drawing
@@ -113,5 +116,5 @@ def _covers(other: Array, line: Array, near: Array) -> bool:
 
 def _stability(point: BranchPoint) -> str:
     if point.index == 0:
-        return "stable"
-    return "index odd: unstable" if point.index % 2 else "index even"
+        return _STABLE
+    return _ODD if point.index % 2 else _EVEN

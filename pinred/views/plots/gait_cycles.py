@@ -169,7 +169,7 @@ def loop(source: BestGait | TurnPlan) -> Figure:
         text = f"the {len(moving)} of {connection.m} joints that move most"
         joints.set_title(text, loc="left")
     legend(joints)
-    _over_time(base, connection.group, at, poses)
+    _over_time(base, connection.group, at, poses, component)
     return drawing
 
 
@@ -218,9 +218,18 @@ def _on_curvature(
         axes.plot(path[:, pair[0]], path[:, pair[1]], color=PATH, linewidth=0.8, zorder=3)
 
 
-def _over_time(axes: Axes, group: Group, t: Array, poses: Array) -> None:
-    """Draw the rotation of the base over time, or its position if it cannot rotate."""
-    _draw_changes(axes, group, t, poses, "rotation" if group.turns else "position")
+def _over_time(axes: Axes, group: Group, t: Array, poses: Array, component: int | None) -> None:
+    """Draw the position of the base over time if the objective is a displacement, or its rotation.
+
+    Args:
+        axes: The axes.
+        group: Symmetry group.
+        t: Times, (T,) [s].
+        poses: Poses, (T, size).
+        component: Component of a twist that the objective concerns, or None.
+    """
+    moves = not group.turns or (component is not None and component < group.linear)
+    _draw_changes(axes, group, t, poses, "position" if moves else "rotation")
     axes.set_xlabel("time [s]")
 
 
@@ -229,7 +238,7 @@ def _draw_changes(axes: Axes, group: Group, t: Array, poses: Array, what: str) -
     changes, names = _changes(group, poses, what)
     for k, name in enumerate(names):
         axes.plot(t, changes[:, k], label=name, **line(k))
-    axes.set_ylabel("turn of the base [°]" if what == "rotation" else "base [m]")
+    axes.set_ylabel("turn of the base [°]" if what == "rotation" else "position of the base [m]")
     legend(axes)
 
 

@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from ...common.errors import InputError, OutputError
+from pinred.common.errors import InputError, OutputError
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 _PATIENCE = 120.0  # time limit for an answer of the browser [s]; software rendering is slow
