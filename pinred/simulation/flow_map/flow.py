@@ -77,9 +77,15 @@ class Flow:
         self.over_times = over_times
         expect_integration(plan.method)  # before the kernels are imported
         from ...kernels.flow_functions import sizes_of
+        from .flow_through_stops import StoppedPropagator
         from .propagator import Propagator
 
-        self.propagator = Propagator(plan, zero_momentum=_stays_zero(scene, wrt))
+        zero = _stays_zero(scene, wrt)
+        self.propagator = (
+            StoppedPropagator(reported, wrt, zero_momentum=zero)
+            if scene.bounds
+            else Propagator(plan, zero_momentum=zero)
+        )
         self.input_map = Inputs(scene, self.propagator.kernel, plan.acting.gravity, wrt)
         self._rows = _checked_rows(of, wanted=plan.wanted)
         sizes = sizes_of(scene.system)

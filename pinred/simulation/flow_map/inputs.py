@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from ...kernels.kernel import Kernel
 
 _NONE: Mapping[str, Array] = MappingProxyType({})
+_NO_VALUES: Mapping[str, float | Array] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -40,12 +41,14 @@ class Given:
         constants: Parameters of the kernel from gravity on, then the acceleration of the centre
             of mass in free fall, (k,).
         robot: Values of robot parameters that the call states, by name.
+        forces: Values of parameters of forces that the call states, by name.
         rates: Shape rates before they are projected to keep loops closed, (m,); None without loops.
     """
 
     state: Array
     constants: Array
     robot: Mapping[str, Array] = field(default_factory=lambda: _NONE)
+    forces: Mapping[str, float | Array] = field(default_factory=lambda: _NO_VALUES)
     rates: Array | None = None
 
 
@@ -148,6 +151,7 @@ class Inputs:
             robot_values = self._robot.now({name: values[name] for name in changed})
             self._robot.put(constants, robot_values, changed)
             robot = {name: robot_values[name] for name in changed}
+        forces: dict[str, float | Array] = {}
         for name, value in values.items():
             if name in changed:
                 continue
@@ -161,11 +165,13 @@ class Inputs:
                     entries = vector(value, len(own), name)
                     for k in range(len(own)):
                         constants[self._numbers_at] += slopes[:, k] * (entries[k] - own[k])
+                    forces[name] = entries
                     continue
                 number = value
                 if type(value) is not float or not isfinite(value):
                     number = float(vector(np.ravel(value), 1, name)[0])
                 constants[self._numbers_at] += slopes[:, 0] * (number - own)
+                forces[name] = number
             elif name == "pose0":
                 state[place] = self._system.group.pose(value)
             elif isinstance(value, Mapping):
@@ -181,11 +187,11 @@ class Inputs:
             state[place] = self._system.space.normalized(state[place], "x0", near=False)
         opening = {"x0", "xdot0", *(self._slopes if self._planned.joints else ())}
         if not (self._system.loops and opening & values.keys()):
-            return Given(state, constants, robot)
+            return Given(state, constants, robot, forces)
         x, rates = state[self._places["x0"]], state[self._places["xdot0"]].copy()
         self._planned.put(x, rates, constants[self._numbers_at])
         state[self._shape_at] = close_inputs(self._system, x, rates, values, self._planned.joints)
-        return Given(state, constants, robot, rates)
+        return Given(state, constants, robot, forces, rates)
 
     def _check_names(self, names: Sequence[str], known: Sequence[str]) -> list[str]:
         """Return the names as a list.  Raises InputError if a name is unknown or repeated."""
