@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -192,6 +192,29 @@ def bounds_of(system: System, stops: Mapping[str, Stop]) -> tuple[Bound, ...]:
                 "one joint follows the other. Change one of them"
             )
     return tuple(tightest.values())
+
+
+def stop_numbers(stops: Mapping[str, Stop]) -> dict[str, float]:
+    """Return the numbers of stops by name: {"elbow.stop.upper": position, …}; finite ones only.
+
+    Args:
+        stops: {joint: its stops}.
+    """
+    return {
+        f"{joint}.stop.{kind}": getattr(stop, kind)
+        for joint, stop in stops.items()
+        for kind in ("lower", "upper", "restitution")
+        if math.isfinite(getattr(stop, kind))
+    }
+
+
+def with_stop_numbers(stops: Mapping[str, Stop], values: Mapping[str, float]) -> dict[str, Stop]:
+    """Return stops with other numbers {name: value}; names as in `stop_numbers`."""
+    changed = dict(stops)
+    for name, value in values.items():
+        joint, kind = name.rsplit(".stop.", 1)
+        changed[joint] = replace(changed[joint], **{kind: value})
+    return changed
 
 
 def check_start(bounds: tuple[Bound, ...], x: Array) -> None:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from ..common.arrays import Array, read_only
 from ..common.errors import InputError, IntegrationError
 from ..common.names import listed
+from ..common.parameter import Parameter
 from ..common.progress import Progress
 from ..forces.tracking import PD, ComputedTorque
 from ..integrators.methods import ErrorControl
@@ -361,13 +362,22 @@ def reactions_of(plan: Plan, rest: Rest, t: Array, samples: Sample, numbers: Arr
     return np.asarray(torques * np.array([bound.sign for bound in rest]))
 
 
-def locked_scene(scene: Scene, rest: Rest) -> Scene:
-    """Return a scene without stops in which some joints are locked at their stops."""
+def locked_scene(
+    scene: Scene, rest: Rest, places: Sequence[float | Parameter] | None = None
+) -> Scene:
+    """Return a scene without stops in which some joints are locked at their stops.
+
+    Args:
+        scene: The scene.
+        rest: The stops.
+        places: Positions of the joints [rad | m]; None for those of the stops.
+    """
     start, names = scene.start, scene.system.shape_names
     x, xdot = start.x.copy(), start.xdot.copy()
     for bound in rest:
         x[bound.x], xdot[bound.v] = bound.position, 0.0
-    plans = {names[bound.v]: bound.position for bound in rest}
+    at = [bound.position for bound in rest] if places is None else places
+    plans = {names[bound.v]: place for bound, place in zip(rest, at, strict=True)}
     return replace(
         scene, x0=x, xdot0=xdot, xi0=start.xi, pose0=start.pose, momentum=None, seed=None,
         keyframe=None, q0=None, v0=None, prescribed={**scene.prescribed, **plans},

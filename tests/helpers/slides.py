@@ -31,3 +31,22 @@ def pair_of_slides() -> pinred.System:
         k = model.addJoint(base, pin.JointModelPX(), pin.SE3.Identity(), name)
         model.appendBodyToJoint(k, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
     return pinred.load(model)
+
+
+def slide_beside(second: str) -> pinred.System:
+    """Return a slide along x on a base of 2 kg, and beside it a slide or an arm.
+
+    The base moves along x. The second joint is a slide along y, or an arm along x that turns about
+    z. Impulses along x do not act on it: on the arm, only as long as it is along x.
+    """
+    model = pin.Model()
+    model.name = second
+    model.gravity.setZero()
+    joints = {"slide": pin.JointModelPY(), "arm": pin.JointModelRZ()}
+    base = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "base")
+    model.appendBodyToJoint(base, pin.Inertia(2.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    for name, joint in (("left", pin.JointModelPX()), ("beside", joints[second])):
+        k = model.addJoint(base, joint, pin.SE3.Identity(), name)
+        place = pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0]))
+        model.appendBodyToJoint(k, pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), place)
+    return pinred.load(model)

@@ -17,13 +17,14 @@ import pytest
 from ball_trees import ball_tree
 from coupled_trees import make_case
 from hybrid_reference import HybridReference, stops_of
-from slides import bouncing_slide, pair_of_slides
+from slides import bouncing_slide, pair_of_slides, slide_beside
 from trees import random_model
 
 import pinred
 from pinred import Parameter
 from pinred.common.arrays import Array
 from pinred.forces import Torque
+from pinred.scene.stop import with_stop_numbers
 from pinred.simulation.run_with_stops import StoppedMotion
 from pinred.system.state_fields import State
 
@@ -60,8 +61,10 @@ def assert_derivatives(
     def value(s: float) -> Array:
         moved = {name: own[name] + s * along[name] for name in own}
         states: dict[str, Any] = {n: moved.pop(n) for n in ("x0", "xdot0", "xi0") if n in moved}
+        numbers = {name: float(moved.pop(name)[0]) for name in [*moved] if ".stop." in name}
         values = {n: v if v.size > 1 else float(v[0]) for n, v in moved.items()}
-        options: dict[str, Any] = {**run, **states, "parameters": values}
+        stops = with_stop_numbers(stops_of(traj), numbers)
+        options: dict[str, Any] = {**run, **states, "parameters": values, "stops": stops}
         other = pinred.simulate(system, **options)
         assert other.impacts.joint == traj.impacts.joint
         return displacement(system, flow(), other.at(end))
@@ -85,9 +88,14 @@ def test_bounce_of_a_slide_has_the_closed_form() -> None:
     e, T = 0.6, 1.0
     flow = pinred.flow(
         bouncing_slide(), x0=[0.3], xdot0=[-1.0], xi0=[0.2], duration=T,
-        stops={"slide": (0.0, 9.0, e)}, wrt=["x0", "xdot0"], of=["x", "xdot"],
+        stops={"slide": (0.0, 9.0, e)}, of=["x", "xdot"],
+        wrt=["x0", "xdot0", "slide.stop.lower", "slide.stop.restitution"],
     )  # fmt: skip
     state, J = flow(), flow.jacobian()
+    np.testing.assert_allclose(J["slide.stop.lower"], [1.0 + e, 0.0], atol=1e-12)
+    np.testing.assert_allclose(J["slide.stop.restitution"], [T - 0.3, 1.0], atol=1e-12)
+    moved = flow(**{"slide.stop.lower": 0.1, "slide.stop.restitution": 0.7})
+    np.testing.assert_allclose([*moved.x, *moved.xdot], [0.1 + 0.7 * (T - 0.2), 0.7], rtol=1e-12)
     np.testing.assert_allclose([*state.x, *state.xdot], [e * (T - 0.3), e], rtol=1e-12)
     np.testing.assert_allclose(J["x0"], [[-e], [0.0]], atol=1e-12)
     np.testing.assert_allclose(J["xdot0"], [[-e * T], [-e]], atol=1e-12)
@@ -144,7 +152,7 @@ def test_slide_with_forces_of_time_agrees_with_differences(
 ) -> None:
     """A joint bounces, or rests until a force pulls it away, at a time that depends on inputs."""
     traj = assert_derivatives(
-        bouncing_slide(), ["x0", "xdot0", "xi0", "slide.mass", *inputs],
+        bouncing_slide(), ["x0", "xdot0", "xi0", "slide.mass", "slide.stop.lower", *inputs],
         x0=[0.05], xdot0=[-0.3], xi0=[0.2], duration=1.2, forces=[Torque(force)],
         stops={"slide": (0.0, 1.0, restitution)},
     )  # fmt: skip
@@ -173,8 +181,9 @@ def test_joints_at_rest_together_agree_with_differences() -> None:
     """An impact presses a joint at rest against its stop, or moves it away."""
     cat = pinred.load("falling_cat")
     traj = assert_derivatives(
-        cat, ["x0", "xdot0", "xi0", "push", "back.mass"], xi0=np.full(cat.r, 0.1), **cat_run()
-    )
+        cat, ["x0", "xdot0", "xi0", "push", "back.mass", "bend.stop.upper", "sway.stop.lower"],
+        xi0=np.full(cat.r, 0.1), **cat_run(),
+    )  # fmt: skip
     labels = [label for _, label in traj.motion.modes]
     assert any("bend" in label and "sway" in label for label in labels)
     assert len(traj.impacts) > len(traj.impacts.times)  # a joint at rest gets an impulse, too
@@ -209,9 +218,10 @@ def assert_tree(seed: int) -> None:
     """Assert that the derivatives of a random tree agree with differences."""
     system, run = tree_of(seed)
     body = list(system.sorted_model.names)[2]
-    assert_derivatives(
-        system, ["x0", "xdot0", "xi0", f"{body}.body.mass"], h=5e-5, tolerance=1e-6, **run
-    )
+    kinds = ["lower", "upper", *["restitution"] * any(s.restitution for s in run["stops"].values())]
+    numbers = [f"{joint}.stop.{kind}" for joint in run["stops"] for kind in kinds]
+    inputs = ["x0", "xdot0", "xi0", f"{body}.body.mass", *numbers]
+    assert_derivatives(system, inputs, h=2e-5, tolerance=1e-6, **run)
 
 
 @pytest.mark.parametrize("seed", [3, 4])
@@ -225,6 +235,25 @@ def test_random_trees_agree_with_differences(seed: int) -> None:
 def test_many_random_trees_agree_with_differences(seed: int) -> None:
     """Random trees on all groups."""
     assert_tree(seed)
+
+
+def test_stop_of_a_follower_agrees_with_differences() -> None:
+    """Its position, divided by the ratio, bounds the leader."""
+    system = make_case("SE2", 4, 2).system
+    coupling = system.couplings[0]
+    ((leader, ratio),) = coupling.ratios.items()
+    rates = np.random.default_rng(0).normal(size=system.m)
+    start = pinred.simulate(system, xdot0=rates, duration=0.1)
+    values = dict(zip(system.tree.x_names, system.joint_values(start.x[0]), strict=True))
+    name, at = coupling.follower, values[coupling.follower]
+    assert abs(ratio) not in (0.0, 1.0)
+    assert leader != name
+    traj = assert_derivatives(
+        system,
+        ["x0", "xdot0", *(f"{name}.stop.{kind}" for kind in ("lower", "upper", "restitution"))],
+        x0=np.zeros(system.m), xdot0=rates, duration=0.7, stops={name: (at - 0.1, at + 0.1, 0.5)},
+    )  # fmt: skip
+    assert len(traj.impacts) == 2
 
 
 def test_tree_with_balls_agrees_with_differences() -> None:
@@ -395,6 +424,14 @@ REFUSED: dict[str, tuple[Callable[[], pinred.Flow], str]] = {
         "ends as joint 'slide' reaches its lower stop",
     ),
     "start at a stop": (lambda: bounce(x0=[0.0], wrt=["x0"]), "with respect to x0 are one-sided"),
+    "stop moves at the start": (
+        lambda: bounce(x0=[0.0], wrt=["slide.stop.lower"]),
+        "with respect to slide.stop.lower are one-sided",
+    ),
+    "no restitution": (
+        lambda: bounce(stops={"slide": (0.0, 9.0)}, wrt=["slide.stop.restitution"]),
+        "with respect to slide.stop.restitution is one-sided at zero",
+    ),
     "rest at the start": (
         lambda: bounce(x0=[0.0], xdot0=[0.0], wrt=["xdot0"]),
         "with respect to xdot0 are one-sided",
@@ -418,6 +455,37 @@ def test_derivatives_that_are_one_sided_are_refused_by_name(case: str) -> None:
     covector = np.ones((*shape, sum(p.stop - p.start for p in flow.outputs.values())))
     with pytest.raises(pinred.InputError, match=message):
         flow.vjp(covector)
+
+
+def beside(second: str, **options: Any) -> pinred.Flow:
+    """Return the flow of a slide that bounces beside a joint that is pressed to its stop."""
+    run: dict[str, Any] = {
+        "x0": [0.3, 0.0], "xdot0": [-1.0, 0.0], "xi0": [0.1], "duration": 0.8,
+        "forces": [Torque(lambda *_: {"beside": -PUSH})],
+        "stops": {"left": (0.0, 9.0, 0.5), "beside": (0.0, 9.0)},
+    }  # fmt: skip
+    return pinred.flow(slide_beside(second), **{**run, **options})
+
+
+@pytest.mark.parametrize("second", ["slide", "arm"])
+def test_impact_that_misses_a_joint_at_rest_has_a_derivative(second: str) -> None:
+    """The joint at rest stays there, whatever the impulse is."""
+    flow = beside(second, wrt=["xi0", "push", "left.stop.lower"], of=["x", "xdot"])
+    J, e = flow.jacobian(), 0.5
+    assert len(pinred.simulate(flow.scene).motion.modes) == 1
+    np.testing.assert_allclose(J["left.stop.lower"], [1.0 + e, 0.0, 0.0, 0.0], atol=1e-10)
+    np.testing.assert_allclose(J["push"], 0.0, atol=1e-12)
+
+
+def test_impact_that_would_press_or_move_a_joint_at_rest_is_refused() -> None:
+    """On one side of the line of the impulse it presses the arm, on the other it moves the arm."""
+    inputs: dict[str, Any] = {"wrt": ["beside.stop.lower"], "of": ["x"], "x0": [0.3, 0.02]}
+    slopes = beside("slide", **inputs).jacobian()["beside.stop.lower"]
+    np.testing.assert_allclose(slopes, [0.0, 1.0], atol=1e-10)
+    flow = beside("arm", **inputs)
+    assert flow().x[1] == 0.0
+    with pytest.raises(pinred.InputError, match="neither presses joint 'beside' against its stop"):
+        flow.jacobian()
 
 
 def test_derivatives_near_refused_motions_exist() -> None:

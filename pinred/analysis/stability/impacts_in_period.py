@@ -17,6 +17,7 @@ from ...simulation.compiled.compiled_flow import has_no_momentum
 from ...simulation.flow_map.flow_through_stops import StoppedPropagator
 from ...simulation.flow_map.inputs import Inputs
 from ...simulation.plan import plan_of
+from ...simulation.run_with_stops import StoppedMotion
 from ...simulation.trajectory import Trajectory
 from .linearised_flow import LinearisedFlow, without_base
 from .reduced_state import leaf_of
@@ -47,8 +48,10 @@ def tangents_through_stops(
     propagator = StoppedPropagator(scene, ("x0", "xdot0"), zero_momentum=has_no_momentum(plan))
     run = propagator.run(Inputs(scene, propagator.kernel, plan.acting.gravity, ()).own)
     last = propagator.parts_of(run)[-1]
-    if last.mode.rest:
-        names = [bound.joint for bound in last.mode.rest]
+    motion = run.trajectory.motion
+    assert isinstance(motion, StoppedMotion)
+    if rest := motion.phases[-1].mode.rest:
+        names = [bound.joint for bound in rest]
         raise InputError(
             f"period: {listed(names, 8)} of '{scene.system.name}' rests at its stop after "
             f"{period:g} s. Simulate from a state in which no joint is at its stop"
@@ -62,9 +65,10 @@ def tangents_through_stops(
     Y = np.zeros((n + len(stopped), d + len(added)))
     Y[leaf.indices, :d] = np.linalg.qr(leaf.embed(np.eye(d)))[0]
     Y[added, d + np.arange(len(added))] = 1.0
-    head, others = np.zeros((2, layout.parameters, Y.shape[1]))
+    head = np.zeros((layout.gravity_at, Y.shape[1]))
     head[momenta] = Y[n:]
-    parts = head[: layout.gravity_at], others[layout.gravity_at :]
+    count = layout.parameters - layout.gravity_at + len(run.stops)
+    parts = head, np.zeros((count, Y.shape[1]))
     path = np.zeros((len(flow.path), Y.shape[1]))
     y_end, head_end, _ = propagator.tangents(run, (), Y[:n], *parts, path)
     leaf = replace(leaf, indices=np.concatenate([leaf.indices, added]))

@@ -70,8 +70,8 @@ class DoubtfulImpacts:
             u = bound.sign * xdot[bound.v]
             if bound.sign * (x[bound.x] - bound.position) > margin_of(bound) or u > 0.0:
                 continue
-            for name in ("x0", "xdot0")[: 1 if u < 0.0 else 2]:
-                if name in wrt:
+            for name in (f"{bound.joint}.stop.{bound.side}", "x0", "xdot0"):
+                if name in wrt and (name != "xdot0" or u == 0.0):
                     raise InputError(
                         f"stops: joint '{bound.joint}' starts at its {bound.side} stop, so "
                         f"derivatives with respect to {name} are one-sided. Start away from the "
@@ -120,6 +120,17 @@ class DoubtfulImpacts:
                 f"stops: joint '{bound.joint}' grazes its {bound.side} stop at t = {t:g} s, where "
                 "a flow has no derivative. Change the motion or the stop"
             )
+
+    @staticmethod
+    def refuse_restitution(hits: Collection[Bound], wrt: Sequence[str]) -> None:
+        """Reject derivatives with respect to a restitution that is zero, the least one."""
+        for bound in hits:
+            name = f"{bound.joint}.stop.restitution"
+            if name in wrt and bound.stop.restitution == 0.0:
+                raise InputError(
+                    f"stops: the derivative with respect to {name} is one-sided at zero. Choose a "
+                    "positive restitution, or omit this input"
+                )
 
     def refuse_end(self, x: Array, xdot: Array, moving: Sequence[Bound]) -> None:
         """Reject a motion that ends as a joint reaches its stop."""

@@ -17,11 +17,12 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import InputError
+from ...common.parameter import Parameter
 from ...integrators.solution import Solution
 from ...integrators.stepping.state_rows import unit_alone
 from ...kernels.flow_functions import Row
 from ...scene.scene import Scene
-from ...scene.stop import Bound
+from ...scene.stop import Bound, with_stop_numbers
 from ...system.model_parameters import joined, plain_value
 from ...system.state_fields import Outcome, ShapeState, State
 from ..compiled.compiled_flow import CompiledFlow
@@ -31,8 +32,8 @@ from ..run_with_stops import Phase, StoppedMotion, locked_scene
 from ..simulate import trajectory_of
 from ..trajectory import Trajectory
 from .doubtful_impacts import DoubtfulImpacts, rows_of
-from .impact_jumps import Contact, ImpactJump, Side, Slots, jump_of
-from .inputs import Given, motion_of
+from .impact_jumps import Contact, ImpactJump, Side, Slots, StopInputs, jump_of
+from .inputs import Given, motion_of, stop_numbers_of
 from .propagator import Propagator
 from .resolved_run import Run
 from .switch_jumps import Jump, jump_between
@@ -45,33 +46,44 @@ class FlowMode:
     """A mode of a flow: its kernels, and its parameters.
 
     Attributes:
-        rest: The stops at which joints rest.
         propagator: Kernels of the mode.
         slots: Places of its variables among those of all modes.
         numbers: Its force parameters in the scene, (p,).
         by_numbers: Derivatives of its force parameters with respect to those of the mode without
-            joints at rest, (p, p₀).
+            joints at rest, and to the numbers of stops, (p, p₀ + s).
     """
 
-    rest: tuple[Bound, ...]
     propagator: Propagator
     slots: Slots
     numbers: Array
     by_numbers: Array
 
     @classmethod
-    def of(cls, rest: tuple[Bound, ...], propagator: Propagator, free: Propagator) -> FlowMode:
-        """Return the mode of a propagator; `free` is that without joints at rest."""
+    def of(
+        cls, rest: tuple[Bound, ...], propagator: Propagator, free: Propagator, stops: StopInputs
+    ) -> FlowMode:
+        """Return a mode.
+
+        Args:
+            rest: The stops at which joints rest, in the order of the joints' places among `stops`.
+            propagator: Kernels of the mode; the positions of joints at rest are Parameters.
+            free: Kernels of the mode without joints at rest.
+            stops: The numbers of stops.
+        """
         kernel, own, other = propagator.kernel, propagator.plan.forces, free.plan.forces
         numbers = np.empty(0) if own is None else own.numbers
         count = 0 if other is None else len(other.numbers)
-        by_numbers = np.zeros((len(numbers), count))
-        if own is not None and other is not None and own.parameters:
-            names = [parameter.name for parameter in other.parameters]
-            columns = [names.index(parameter.name) for parameter in own.parameters]
-            by_numbers = own.slopes @ np.linalg.pinv(other.slopes)[columns]
+        by_numbers = np.zeros((len(numbers), count + len(stops.places)))
+        if own is not None:
+            names = [parameter.name for parameter in own.parameters]
+            for k, bound in enumerate(rest):
+                place, slope = stops.position(bound)
+                by_numbers[:, count + place] += slope * own.slopes[:, names.index(place_name(k))]
+            if other is not None and other.parameters:
+                columns = [names.index(parameter.name) for parameter in other.parameters]
+                by_numbers[:, :count] = own.slopes[:, columns] @ np.linalg.pinv(other.slopes)
         slots = Slots.of(kernel.system, kernel.layout)
-        return cls(rest, propagator, slots, numbers, by_numbers)
+        return cls(propagator, slots, numbers, by_numbers)
 
     def others(self, free: Array) -> Array:
         """Return the parameters after the constant momenta along directions of those of `free`.
@@ -89,18 +101,19 @@ class FlowMode:
         first = len(others) - len(self.numbers)
         return np.concatenate([others[:first], others[first:] @ self.by_numbers])
 
-    def flow(self, free: CompiledFlow, own: Array, t: float, stop: float) -> CompiledFlow:
+    def flow(self, run: StoppedRun, own: Array, t: float, stop: float) -> CompiledFlow:
         """Return the flow of the mode between two times, without a state.
 
         Args:
-            free: The flow of the mode without joints at rest.
-            own: Force parameters of that mode in the scene, (p₀,).
+            run: The run.
+            own: Force parameters of the mode without joints at rest, and numbers of stops, in the
+                scene, (p₀ + s,).
             t: Start time [s].
             stop: End time [s].
         """
-        layout = self.propagator.kernel.layout
+        free, layout = run.flow, self.propagator.kernel.layout
         first = free.kernel.layout.gravity_at
-        others = self.others(free.parameters[first:])
+        others = self.others(np.concatenate([free.parameters[first:], run.stops]))
         others[len(others) - len(self.numbers) :] += self.numbers - self.by_numbers @ own
         spin = free.parameters[: layout.base.spin]
         columns = [spin, np.zeros(len(layout.constant_pi)), others]
@@ -137,10 +150,12 @@ class StoppedRun(Run):
 
     Attributes:
         trajectory: The motion by `simulate`.
+        stops: Numbers of the stops, (s,).
         parts: Solutions for derivatives; None until they are needed.
     """
 
     trajectory: Trajectory
+    stops: Array
     parts: list[Part] | None = None
 
 
@@ -168,12 +183,24 @@ class StoppedPropagator(Propagator):
         self.scene, self._wrt, self._free = scene, tuple(wrt), replace(scene, stops=None)
         super().__init__(plan_of(self._free), zero_momentum=zero_momentum)
         self._bounds = {(bound.joint, bound.side): bound for bound in scene.bounds}
-        self._modes: dict[tuple[Bound, ...], FlowMode] = {(): FlowMode.of((), self, self)}
+        self._stop_numbers = stop_numbers_of(scene)
+        places = {name: k for k, name in enumerate(self._stop_numbers)}
+        fixed = tuple(place for name, place in places.items() if name not in self._wrt)
+        self._stops = StopInputs(places, fixed)
+        free = FlowMode.of((), self, self, self._stops)
+        self._modes: dict[tuple[Bound, ...], FlowMode] = {(): free}
 
     def run(self, given: Given, *, stages: bool = False) -> StoppedRun:  # noqa: ARG002
         """Simulate the scene with the inputs; see Propagator.run."""
         trajectory = trajectory_of(without_own(self._scene_of(given)))
-        return StoppedRun(given, self.initial(given), [], [], trajectory)
+        own, stops = self._divided(given.constants)
+        given = replace(given, constants=own)
+        return StoppedRun(given, self.initial(given), [], [], trajectory, stops)
+
+    def _divided(self, constants: Array) -> tuple[Array, Array]:
+        """Divide constants of the inputs into those of the kernel and the numbers of stops."""
+        at = len(constants) - len(self._stop_numbers)
+        return constants[:at], constants[at:]
 
     def end(self, run: Run) -> State | ShapeState:
         """Return the final full state of a run."""
@@ -202,9 +229,10 @@ class StoppedPropagator(Propagator):
 
     def along(self, run: Run, rows: tuple[Row, ...], state: Array, constants: Array) -> Array:
         """Return derivatives of outputs along N directions of the inputs; see Propagator."""
-        y, parameters, path = self.initial.along(run.given, state, constants)
+        own, stops = self._divided(constants)
+        y, parameters, path = self.initial.along(run.given, state, own)
         first = self.kernel.layout.gravity_at
-        tangents = y, parameters[:first], parameters[first:], path
+        tangents = y, parameters[:first], np.vstack([parameters[first:], stops]), path
         return self._finite(np.array(self.tangents(run, rows, *tangents)[2]))[0]
 
     def tangents(
@@ -217,7 +245,7 @@ class StoppedPropagator(Propagator):
             rows: Names of the outputs.
             y: Tangents of the initial state, (n, N).
             head: Tangents of the constant momenta, (c, N).
-            others: Tangents of the other parameters, (q, N).
+            others: Tangents of the other parameters and of the numbers of stops, (q + s, N).
             path: Tangents of the path of the centre of mass, (3k, N).
         Returns:
             Tangents of the state and of the constant momenta at the end, and of the outputs at each
@@ -244,7 +272,8 @@ class StoppedPropagator(Propagator):
     def back(self, run: Run, rows: tuple[Row, ...], covectors: Array) -> tuple[Array, ...]:
         """Return the cotangents of the inputs' state and constants; see Propagator."""
         parts = self.parts_of(run)
-        others = np.zeros(self.kernel.layout.parameters - self.kernel.layout.gravity_at)
+        count = self.kernel.layout.parameters - self.kernel.layout.gravity_at
+        others = np.zeros(count + len(self._stop_numbers))
         path, head = np.zeros(len(run.flow.path)), np.zeros(len(parts[-1].mode.slots.constant))
         covector, weights = np.zeros(max(len(parts[-1].mode.slots.state), 1)), (rows, covectors)
         for part in reversed(parts):
@@ -265,8 +294,9 @@ class StoppedPropagator(Propagator):
                 covector, head, more = np.split(whole, [part.jump.before, len(whole) - len(others)])
                 others += more
                 covector = covector if covector.size else np.zeros(1)
-        by_parameters = np.concatenate([head, others])
-        return self._finite(*self.initial.back(run.given, covector, by_parameters, path))
+        by_parameters = np.concatenate([head, others[:count]])
+        by_state, by_own = self.initial.back(run.given, covector, by_parameters, path)
+        return self._finite(by_state, np.concatenate([by_own, others[count:]]))
 
     def _scene_of(self, given: Given) -> Scene:
         """Return the scene with other inputs."""
@@ -280,17 +310,23 @@ class StoppedPropagator(Propagator):
             options["xi0" if motion == "xi" else "momentum"] = stated
             options |= dict.fromkeys(("seed", "keyframe", "q0", "v0"))
         robot = {name: plain_value(value) for name, value in given.robot.items()}
+        if given.stops:
+            stops: Any = scene.stops
+            options["stops"] = with_stop_numbers(stops, given.stops)
         if given.forces or robot:
             options["parameters"] = joined(scene.parameters, {**given.forces, **robot})
         return replace(scene, **options) if options else scene
 
     def _mode(self, rest: tuple[Bound, ...]) -> FlowMode:
         """Return a mode, whose kernels are built at its first use."""
-        mode = self._modes.get(rest)
+        # The positions of stops are inputs, so modes are identified by the stops of the scene.
+        own = tuple(self._bounds[bound.joint, bound.side] for bound in rest)
+        mode = self._modes.get(own)
         if mode is None:
-            plan = plan_of(locked_scene(self._free, rest))
+            places = [Parameter(place_name(k), bound.position) for k, bound in enumerate(own)]
+            plan = plan_of(locked_scene(self._free, own, places))
             propagator = Propagator(plan, zero_momentum=self.zero_momentum)
-            mode = self._modes[rest] = FlowMode.of(rest, propagator, self)
+            mode = self._modes[own] = FlowMode.of(own, propagator, self, self._stops)
         return mode
 
     def parts_of(self, run: Run) -> list[Part]:
@@ -302,12 +338,13 @@ class StoppedPropagator(Propagator):
 
     def _solve_parts(self, run: StoppedRun) -> Iterator[Part]:
         """Integrate each mode from one event to the next, and yield the solutions."""
-        motion, scene = run.trajectory.motion, self.scene
+        motion, scene = run.trajectory.motion, run.trajectory.scene
         assert isinstance(motion, StoppedMotion)
         doubts = DoubtfulImpacts(scene, motion)
         ends = np.array([segment.end for phase in motion.phases for segment in phase.segments])
         spans = iter(spans_between(ends, scene.report_times))
         mode, flow, y, t = self._modes[()], run.flow, run.flow.y0, 0.0
+        rest: tuple[Bound, ...] = ()
         doubts.refuse_start(*flow.canonical_momenta(t, y)[:2], self._wrt)
         for phase in motion.phases:
             jump: ImpactJump | Jump | None = None
@@ -318,8 +355,9 @@ class StoppedPropagator(Propagator):
                     jump = self._switch(run, mode, flow, span, y)
                 elif phase.start > 0.0 or phase.mode.rest or phase.impact is not None:
                     before = replace(flow, parameters=flow.parameters_between(t, phase.start))
-                    side = Side(before, mode.slots, y, mode.rest)
+                    side = Side(before, mode.slots, y, rest)
                     jump, mode = self._event(run, doubts, phase, mode, side)
+                    rest = phase.mode.rest
                     flow = jump.flow
                     y = flow.y0
                 longest = float(np.diff(segment.knots).max())
@@ -343,22 +381,23 @@ class StoppedPropagator(Propagator):
         """Return the jump at the start of a phase, and the mode after it."""
         t, end = phase.start, phase.segments[0].end
         after = self._mode(phase.mode.rest)
-        flow = after.flow(run.flow, self._numbers, t, end)
+        flow = after.flow(run, self._numbers, t, end)
         free = replace(run.flow, parameters=run.flow.parameters_between(t, end))
-        rates = rows_of(phase, self.scene.bounds)
-        hits = tuple(bound for bound in rates if bound not in mode.rest)
+        rates = rows_of(phase, run.trajectory.scene.bounds)
+        hits = tuple(bound for bound in rates if bound not in before.rest)
         x, xdot, _ = before.flow.canonical_momenta(t, before.y)
         depth, delay = 0.0, None
+        doubts.refuse_restitution(hits, self._wrt)
         if t > 0.0 and hits:
-            doubts.refuse_together(t, x, xdot, hits, mode.rest)
+            doubts.refuse_together(t, x, xdot, hits, before.rest)
             depth = doubts.tolerance(hits[0])
             self._refuse_switch(run, before, t)
         elif t > 0.0:
-            doubts.refuse_touch(t, set(phase.mode.rest) - set(mode.rest))
+            doubts.refuse_touch(t, set(phase.mode.rest) - set(before.rest))
             delay = self._delay(run, mode, before, t)
         contact = Contact(
             t, hits, tuple(bound.stop.restitution * (rates[bound] != 0.0) for bound in hits),
-            frozenset(rates) - frozenset(hits), t > 0.0, depth,
+            frozenset(rates) - frozenset(hits), self._stops, t > 0.0, depth,
         )  # fmt: skip
         sides = (
             Side(free, self._modes[()].slots, run.flow.y0, ()), before,
@@ -368,8 +407,9 @@ class StoppedPropagator(Propagator):
 
     @cached_property
     def _numbers(self) -> Array:
-        """Force parameters of the scene, (p,)."""
-        return np.empty(0) if self.plan.forces is None else self.plan.forces.numbers
+        """Force parameters of the scene, and numbers of its stops, (p + s,)."""
+        numbers = np.empty(0) if self.plan.forces is None else self.plan.forces.numbers
+        return np.concatenate([numbers, [*self._stop_numbers.values()]])
 
     def _stop_at(self, run: StoppedRun, t: float) -> int | None:
         """Return the index of the stop of the plan at a time, or None if there is none."""
@@ -423,6 +463,11 @@ class StoppedPropagator(Propagator):
                 f"stops: a force switches at t = {t:g} s, the time of an impact, so a flow has a "
                 "derivative on each side only. Change the motion or the force"
             )
+
+
+def place_name(k: int) -> str:
+    """Return the name of the Parameter that is the position of the k-th joint at rest."""
+    return f"position of the joint {k} at its stop"
 
 
 def _trajectory_in(run: Run) -> Trajectory:

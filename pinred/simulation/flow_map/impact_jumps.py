@@ -18,7 +18,7 @@ do not jump, so steps 1 and 4 cancel.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -94,6 +94,27 @@ class Side:
 
 
 @dataclass(frozen=True)
+class StopInputs:
+    """The numbers of joint stops as inputs of a flow.
+
+    Attributes:
+        places: Index of each number by its name; see `stop_numbers`.
+        fixed: Indices of the numbers without derivatives.
+    """
+
+    places: Mapping[str, int]
+    fixed: tuple[int, ...] = ()
+
+    def position(self, bound: Bound) -> tuple[int, float]:
+        """Return the index of the position of a bound, and its derivative by this number."""
+        return self.places[f"{bound.joint}.stop.{bound.side}"], 1.0 / bound.ratio
+
+    def restitution(self, bound: Bound) -> int:
+        """Return the index of the restitution of a bound."""
+        return self.places[f"{bound.joint}.stop.restitution"]
+
+
+@dataclass(frozen=True)
 class Contact:
     """The stops that joints touch at an event.
 
@@ -103,6 +124,7 @@ class Contact:
         restitution: Ratio of the rates after and before, for each of `hits`; 0 for joints that come
             to rest, (K,).
         pressed: Stops at which joints were at rest, and which got an impulse.
+        numbers: Numbers of stops that are inputs.
         moves: Whether the time of the event depends on the state: False at the start.
         least_depth: Least distance [rad | m] by which the joint that hits must pass its stop if
             there were none.
@@ -112,6 +134,7 @@ class Contact:
     hits: tuple[Bound, ...] = ()
     restitution: tuple[float, ...] = ()
     pressed: frozenset[Bound] = frozenset()
+    numbers: StopInputs = field(default_factory=lambda: StopInputs({}))
     moves: bool = True
     least_depth: float = 0.0
 
@@ -144,8 +167,8 @@ class Rates:
 
     def along(self, Z: Array) -> Array:
         """Return the derivatives (K, N) of the rates along N columns of (z, constants)."""
-        size = self.by_z.shape[1]
-        return np.asarray(self.by_z @ Z[:size] + self.by_constants @ Z[size:])
+        size, q = self.by_z.shape[1], self.by_constants.shape[1]
+        return np.asarray(self.by_z @ Z[:size] + self.by_constants @ Z[size : size + q])
 
 
 @dataclass(frozen=True)
@@ -154,7 +177,7 @@ class ImpactJump:
 
     Attributes:
         matrix: Derivatives with respect to (state, constant momenta, other parameters of the mode
-            without joints at rest) before the event, (k⁺ + c⁺, k⁻ + c⁻ + q).
+            without joints at rest, numbers of stops) before the event, (k⁺ + c⁺, k⁻ + c⁻ + q + s).
         before: Number of entries k⁻ of the state before the event.
         flow: Flow after the event, with its state.
     """
@@ -189,14 +212,20 @@ def jump_of(
     joints = [bound.v for bound in bounds]
     momenta = [nx + v for v in joints]
     earlier = Rates(free.flow.resumed(t, x, pi, before.flow, before.y), slots, joints)
-    Z, timing = _inputs(free, before, delay)
+    numbers = contact.numbers
+    Z, timing = _inputs(free, before, delay, len(numbers.places))
+    first = len(Z) - len(numbers.places)  # row of the first number of a stop
+    for bound in before.rest:
+        place, slope = numbers.position(bound)
+        Z[bound.x] = slope * Z[first + place]
     if rest:  # The momenta of joints at rest follow from the other variables.
         block = earlier.by_z[:rest, momenta[:rest]]
         Z[momenta[:rest]] -= np.linalg.solve(block, earlier.along(Z)[:rest])
     if contact.moves and contact.hits:
         (hit,) = contact.hits
         _refuse_grazing(hit, earlier.xdot[hit.v], float(earlier.along(Z)[-1, -1]), contact)
-        timing = -Z[hit.x, :-1] / earlier.xdot[hit.v]
+        place, slope = numbers.position(hit)
+        timing = (slope * Z[first + place] - Z[hit.x])[:-1] / earlier.xdot[hit.v]
     Z = Z[:, :-1] + np.outer(Z[:, -1], timing)  # at the varied time of the event
     if contact.hits:
         e = np.array([*[0.0] * rest, *contact.restitution])
@@ -206,12 +235,17 @@ def jump_of(
         impulses = np.linalg.solve(block, -((1.0 + e) * earlier.xdot[joints])[acting])
         pi[[joints[k] for k in acting]] += impulses
         later = Rates(free.flow.resumed(t, x, pi, before.flow, before.y), slots, joints)
-        residual = (later.along(Z) + e[:, None] * earlier.along(Z))[acting]
+        residual = later.along(Z) + e[:, None] * earlier.along(Z)
+        for k, bound in enumerate(contact.hits, start=rest):
+            bounces = float(contact.restitution[k - rest] > 0.0)
+            residual[k] += bounces * earlier.xdot[bound.v] * Z[first + numbers.restitution(bound)]
+        residual = residual[acting]
         changes = -np.linalg.solve(later.by_z[np.ix_(acting, places)], residual)
         names = {k: bounds[acting[k]].joint for k in doubtful}
-        _refuse_doubtful(names, np.sqrt(np.diag(block))[:, None] * changes, t)
+        last = changes.shape[1] - len(numbers.places)
+        varied = np.delete(changes, [last + place for place in numbers.fixed], axis=1)
+        _refuse_doubtful(names, np.sqrt(np.diag(block))[:, None] * varied, t)
         Z[places] += changes
-        Z[[bound.x for bound in contact.hits]] = 0.0
     flow = after.flow.resumed(t, x, pi, before.flow, before.y)
     arrived = Side(flow, after.slots, flow.y0, after.rest)
     state = Z[after.slots.state] - np.outer(arrived.rates, timing)
@@ -219,7 +253,7 @@ def jump_of(
     return ImpactJump(matrix, len(before.slots.state), flow)
 
 
-def _inputs(free: Side, before: Side, delay: Array | None) -> tuple[Array, Array]:
+def _inputs(free: Side, before: Side, delay: Array | None, stops: int) -> tuple[Array, Array]:
     """Return derivatives of (z, constants) by the inputs of a jump and by time, and of the time.
 
     Momenta of joints at rest are left out.
@@ -228,11 +262,12 @@ def _inputs(free: Side, before: Side, delay: Array | None) -> tuple[Array, Array
         free: The mode without joints at rest.
         before: The mode before the event.
         delay: As for `jump_of`.
+        stops: Number s of the numbers of stops.
     Returns:
-        (size + q, N + 1) and (N,), for N inputs.
+        (size + q + s, N + 1) and (N,), for N inputs.
     """
     size, n, c = free.slots.size, len(before.slots.state), len(before.slots.constant)
-    q = free.flow.kernel.layout.parameters - len(free.slots.constant)
+    q = free.flow.kernel.layout.parameters - len(free.slots.constant) + stops
     Z = np.zeros((size + q, n + c + q + 1))
     Z[before.slots.state, np.arange(n)] = 1.0
     Z[before.slots.constant, n + np.arange(c)] = 1.0
