@@ -110,14 +110,14 @@ def test_accumulating_impacts_have_the_closed_form(T: float, rests: bool) -> Non
     flow = pinred.flow(
         pair_of_slides(), x0=[0.3, 0.1], xdot0=[-0.5, 0.2], xi0=[0.1], duration=T,
         stops={"left": (0.0, 9.0, 0.5)}, forces=[Torque(lambda *_: {"left": -PUSH})],
-        wrt=["x0", "xdot0", "push"], of=["x", "xdot"], **TIGHT,
+        wrt=["x0", "xdot0", "push", "left.stop.restitution"], of=["x", "xdot"], **TIGHT,
     )  # fmt: skip
     traj = pinred.simulate(flow.scene)
     assert (len(traj.impacts) == 20) is rests
     assert (len(traj.motion.modes) == 2) is rests
     slopes = flow.jacobian()
-    J = np.hstack([slopes["x0"], slopes["xdot0"], slopes["push"][:, None]])
-    expected = [[-1 / 3, 1.0, -T / 3, T, 0.0], [0.0, 0.0, -1 / 3, 1.0, 0.0]]
+    J = np.hstack([matrix.reshape(4, -1) for matrix in slopes.values()])
+    expected = [[-1 / 3, 1.0, -T / 3, T, 0.0, 0.0], [0.0, 0.0, -1 / 3, 1.0, 0.0, 0.0]]
     np.testing.assert_allclose(J[[1, 3]] - J[[0, 2]] / 3, expected, atol=1e-8)
     if rests:
         np.testing.assert_array_equal(J[[0, 2]], 0.0)

@@ -237,8 +237,7 @@ def jump_of(
         later = Rates(free.flow.resumed(t, x, pi, before.flow, before.y), slots, joints)
         residual = later.along(Z) + e[:, None] * earlier.along(Z)
         for k, bound in enumerate(contact.hits, start=rest):
-            bounces = float(contact.restitution[k - rest] > 0.0)
-            residual[k] += bounces * earlier.xdot[bound.v] * Z[first + numbers.restitution(bound)]
+            residual[k] += earlier.xdot[bound.v] * Z[first + numbers.restitution(bound)]
         residual = residual[acting]
         changes = -np.linalg.solve(later.by_z[np.ix_(acting, places)], residual)
         names = {k: bounds[acting[k]].joint for k in doubtful}
