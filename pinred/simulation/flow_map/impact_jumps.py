@@ -237,6 +237,7 @@ def jump_of(
         later = Rates(free.flow.resumed(t, x, pi, before.flow, before.y), slots, joints)
         residual = later.along(Z) + e[:, None] * earlier.along(Z)
         for k, bound in enumerate(contact.hits, start=rest):
+            # If the joint comes to rest, the momentum that this changes is left out.
             residual[k] += earlier.xdot[bound.v] * Z[first + numbers.restitution(bound)]
         residual = residual[acting]
         changes = -np.linalg.solve(later.by_z[np.ix_(acting, places)], residual)
