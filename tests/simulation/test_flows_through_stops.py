@@ -25,6 +25,7 @@ from pinred import Parameter
 from pinred.common.arrays import Array
 from pinred.forces import Torque
 from pinred.scene.stop import with_stop_numbers
+from pinred.simulation import run_with_stops
 from pinred.simulation.run_with_stops import StoppedMotion
 from pinred.system.state_fields import State
 
@@ -505,6 +506,17 @@ def test_impact_that_would_press_or_move_a_joint_at_rest_is_refused() -> None:
     flow = beside("arm", **inputs)
     assert flow().x[1] == 0.0
     with pytest.raises(pinred.InputError, match="neither presses joint 'beside' against its stop"):
+        flow.jacobian()
+
+
+def test_joint_that_comes_to_rest_without_impulse_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A rate that counts as zero at the stop is that of a joint that grazes it."""
+    monkeypatch.setattr(run_with_stops, "_AT_REST", 2.0)
+    flow = bounce(stops={"slide": (0.0, 9.0)}, wrt=["x0"])
+    assert len(pinred.simulate(flow.scene).impacts) == 0
+    with pytest.raises(pinred.InputError, match=r"'slide' grazes its lower stop at t = 0\.26"):
         flow.jacobian()
 
 
