@@ -22,7 +22,6 @@ from ...scene.stop import Bound
 from ..run_with_stops import Phase, StoppedMotion, bernstein, margin_of
 
 _DEGREE = 8  # Degree of the polynomials that describe gaps within a step.
-_ARMED = 4.0  # A gap counts as open once it exceeds this multiple of its tolerance.
 _REAL = 1e-9  # Imaginary part of a real root, relative to the step.
 
 
@@ -182,7 +181,7 @@ class DoubtfulImpacts:
                             f"t = {t:g} s, so a flow has a derivative on one side only. Change the "
                             "motion or the stop"
                         )
-                is_open |= (rows > _ARMED * tolerances).any(axis=0)
+                is_open |= (rows > tolerances).any(axis=0)
             start += float(solution.knots[-1])
 
 
