@@ -263,6 +263,20 @@ def bounds_of(system: System, stops: Mapping[str, Stop]) -> tuple[Bound, ...]:
     return tuple(tightest.values())
 
 
+def stop_numbers(stops: Mapping[str, Stop]) -> dict[str, float]:
+    """Return the numbers of stops by name: {"elbow.stop.upper": position, …}; finite ones only.
+
+    Args:
+        stops: {joint: its stops}.
+    """
+    return {
+        f"{joint}.stop.{kind}": getattr(stop, kind)
+        for joint, stop in stops.items()
+        for kind in ("lower", "upper", "restitution")
+        if math.isfinite(getattr(stop, kind))
+    }
+
+
 def starts_beyond(bounds: tuple[Bound, ...], x: Array) -> dict[int, str]:
     """Describe the initial shapes that lie outside their stops.
 

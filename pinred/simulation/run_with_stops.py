@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from ..common.arrays import Array, read_only
 from ..common.errors import InputError, IntegrationError
 from ..common.names import listed
+from ..common.parameter import Parameter
 from ..common.progress import Progress
 from ..forces.tracking import PD, ComputedTorque
 from ..integrators.methods import ErrorControl
@@ -51,7 +52,7 @@ _LEAST_GAP = 1e-18  # Smallest margin of a gap, for stops at zero [rad | m].
 _CLINGING = 1e-12  # Pull of a stop that counts as round-off, per kinetic energy [1/rad | 1/m].
 _AT_REST = 1e-13  # Rate at a stop that counts as zero, relative to the largest rate.
 _NEWTON = 0.6  # Largest part of a step in which a single root is polished.
-_MOST_NEWTON, _SAME = 100, 1e-16  # Steps for a root, and the change at which it is found.
+_MOST_NEWTON, _SAME = 100, 4e-16  # Steps for a root, and the change at which it is found.
 _MOST_AT_ONCE = 100  # Largest number of successive impacts without time between them.
 MOST_IMPACTS = 100_000  # Largest number of impacts of one run.
 
@@ -143,6 +144,11 @@ class StoppedMotion(Motion):
                 y = last.at(np.array([last.end]))[0]
         shape = len(impacts), 2, self._before.kernel.system.r
         return table_of(impacts, np.array(momenta).reshape(shape))
+
+    @property
+    def phases(self) -> Sequence[Phase]:
+        """The parts of the motion without impacts inside, in order of time."""
+        return self._phases
 
     @property
     def modes(self) -> tuple[tuple[float, str], ...]:
@@ -238,7 +244,7 @@ class _StopSearch(RootSearch):
         times = starts[:, None] + lengths[:, None] * self._nodes
         y = segment.at(times.ravel())[:, self._columns].reshape(*times.shape, -1)
         gaps = self._sides[self._polynomial] * y + self._offsets[self._polynomial]
-        coefficients = np.einsum("ij,sjb->sib", self._bernstein, gaps)
+        coefficients = self._bernstein @ gaps
         for step in np.flatnonzero((coefficients <= 0.0).any(axis=(1, 2))).tolist():
             for k in np.flatnonzero((coefficients[step] <= 0.0).any(axis=0)).tolist():
                 part = first_root(coefficients[step, :, k])
@@ -314,28 +320,27 @@ def _polish(c: Array) -> float:
     Args:
         c: Bernstein coefficients; the first one is positive, the last one negative.
     """
-    degree = len(c) - 1
-    values, slopes = c.tolist(), (degree * np.diff(c)).tolist()
+    values, degree = c.tolist(), len(c) - 1
     low, high, s = 0.0, 1.0, float(c[0] / (c[0] - c[-1]))
     for _ in range(_MOST_NEWTON):
-        value = _at(values, s)
+        value, slope = _at(values, s, degree)
         low, high = (s, high) if value > 0.0 else (low, s)
-        slope = _at(slopes, s)
-        new = s - value / slope if slope < 0.0 else low
-        if not low < new < high:
-            new = 0.5 * (low + high)
+        new = s - value / slope if slope < 0.0 else np.inf
         if abs(new - s) <= _SAME:
             return new
+        if not low < new < high:
+            new = 0.5 * (low + high)
         s = new
     return s
 
 
-def _at(coefficients: list[float], s: float) -> float:
-    """Evaluate a polynomial at s from its Bernstein coefficients."""
+def _at(coefficients: list[float], s: float, degree: int) -> tuple[float, float]:
+    """Evaluate a polynomial and its derivative at s from its Bernstein coefficients."""
     row, r = coefficients, 1.0 - s
-    while len(row) > 1:
+    for _ in range(degree - 1):
         row = [r * a + s * b for a, b in pairwise(row)]
-    return row[0]
+    first, last = row
+    return r * first + s * last, degree * (last - first)
 
 
 def margin_of(bound: Bound) -> float:
@@ -356,6 +361,28 @@ def reactions_of(plan: Plan, rest: Rest, t: Array, samples: Sample, numbers: Arr
     locked, rows = [bound.v for bound in rest], np.tile(numbers, (len(t), 1))
     torques = driving_torques(plan, t, samples, rows, locked)[:, len(plan.acting.driven) :]
     return np.asarray(torques * np.array([bound.sign for bound in rest]))
+
+
+def locked_scene(
+    scene: Scene, rest: Rest, places: Sequence[float | Parameter] | None = None
+) -> Scene:
+    """Return a scene without stops in which some joints are locked at their stops.
+
+    Args:
+        scene: The scene.
+        rest: The stops.
+        places: Positions of the joints [rad | m]; None for those of the stops.
+    """
+    start, names = scene.start, scene.system.shape_names
+    x, xdot = start.x.copy(), start.xdot.copy()
+    for bound in rest:
+        x[bound.x], xdot[bound.v] = bound.position, 0.0
+    at = [bound.position for bound in rest] if places is None else places
+    plans = {names[bound.v]: place for bound, place in zip(rest, at, strict=True)}
+    return replace(
+        scene, x0=x, xdot0=xdot, xi0=start.xi, pose0=start.pose, momentum=None, seed=None,
+        keyframe=None, q0=None, v0=None, prescribed={**scene.prescribed, **plans},
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -424,25 +451,13 @@ class _Run:
         if mode is None:
             began = time.perf_counter()
             locked = {bound.v for bound in rest}
-            plan = self._limited(self._locked(rest))
+            plan = self._limited(locked_scene(self._free, rest))
             flow = self.first.in_mode(plan)
             moving = tuple(bound for bound in self.bounds if bound.v not in locked)
             integrate = integrator(flow, plan, self.progress, chunk=_CHUNK)
             mode = self._modes[rest] = Mode(rest, moving, flow, integrate)
             self.building += time.perf_counter() - began
         return mode
-
-    def _locked(self, rest: Rest) -> Scene:
-        """Return the scene with some joints locked at their stops."""
-        scene, start = self._free, self._free.start
-        x, xdot, names = start.x.copy(), start.xdot.copy(), self.system.shape_names
-        for bound in rest:
-            x[bound.x], xdot[bound.v] = bound.position, 0.0
-        plans = {names[bound.v]: bound.position for bound in rest}
-        return replace(
-            scene, x0=x, xdot0=xdot, xi0=start.xi, pose0=start.pose, momentum=None, seed=None,
-            keyframe=None, q0=None, v0=None, prescribed={**scene.prescribed, **plans},
-        )  # fmt: skip
 
     def motion(self) -> StoppedMotion:
         """Integrate from impact to impact."""
@@ -473,6 +488,8 @@ class _Run:
             segment = mode.integrate(t, stop, read_only(y), parameters, search.look)
             is_hit = search.look(segment)
             parts = cut_at(search.found[0][0], segment, mode.integrate) if is_hit else [segment]
+            if not parts and segment.end == stop <= t + self.scene.rtol * self.scene.end:
+                parts, is_hit = [segment], False  # too short for a gap above round-off
             self._at_once = 0 if parts else self._at_once + 1
             if self._at_once > _MOST_AT_ONCE:
                 raise IntegrationError(
@@ -561,6 +578,8 @@ class _Run:
         usual = impulses(G, u, e)
         rebound = np.where(usual > 0.0, -e * u, u + G @ usual)
         slow = contact.may_rest & (rebound <= slowest)
+        if not slow.any():
+            return usual, rebound, slow
         while True:
             chosen, impulse, after = np.flatnonzero(slow), usual.copy(), rebound.copy()
             block = G[np.ix_(chosen, chosen)]

@@ -13,6 +13,7 @@ import pytest
 from coupled_trees import make_case
 from hybrid_reference import HybridMotion, HybridReference, complementarity, stops_of
 from loop_robots import five_bar
+from slides import bouncing_slide, pair_of_slides
 from trees import random_model
 
 import pinred
@@ -23,18 +24,6 @@ from pinred.forces import Torque
 from pinred.simulation import run_with_stops
 from pinred.simulation.impacts import impulses, solve_complementarity
 from pinred.simulation.run_with_stops import bernstein, first_root
-
-
-def bouncing_slide() -> pinred.System:
-    """Return two masses, 3 kg and 1 kg, on one line: the reduced mass is 0.75 kg."""
-    model = pin.Model()
-    model.name = "slide"
-    model.gravity.setZero()
-    for k, mass in enumerate((3.0, 1.0)):
-        i = model.addJoint(k, pin.JointModelPX(), pin.SE3.Identity(), ("base", "slide")[k])
-        inertia = pin.Inertia(mass, np.zeros(3), 0.1 * np.eye(3))
-        model.appendBodyToJoint(i, inertia, pin.SE3.Identity())
-    return pinred.load(model)
 
 
 def reference_of(traj: pinred.Trajectory, torque: Any = None) -> HybridMotion:
@@ -257,19 +246,6 @@ def test_first_root_of_bernstein_coefficients_is_the_known_root(
         np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-8)
 
 
-def pair_of_slides() -> pinred.System:
-    """Return two equal slides on a free base of 2 kg, which move along one line."""
-    model = pin.Model()
-    model.name = "pair"
-    model.gravity.setZero()
-    base = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "base")
-    model.appendBodyToJoint(base, pin.Inertia(2.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
-    for name in ("left", "right"):
-        k = model.addJoint(base, pin.JointModelPX(), pin.SE3.Identity(), name)
-        model.appendBodyToJoint(k, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
-    return pinred.load(model)
-
-
 def test_two_joints_that_arrive_together_bounce_in_one_impact() -> None:
     """Two equal slides on a free base are symmetric, so both reach their stops at once."""
     system, e = pair_of_slides(), 0.5
@@ -436,13 +412,11 @@ def test_options_that_do_not_act_with_stops_are_refused(
         )
 
 
-def test_flows_and_stability_refuse_stops() -> None:
-    """Flows, and the stability functions on them, refuse stops."""
+def test_exponents_refuse_stops() -> None:
+    """Lyapunov exponents and linearisations refuse stops."""
     scene = pinred.Scene(
         system=pinred.load("falling_cat"), duration=0.1, stops={"bend": (-1.0, 1.0)}
     )
-    with pytest.raises(pinred.InputError, match="stops"):
-        pinred.Flow(scene, wrt=["x0"], of=["x"], over_times=False)
     with pytest.raises(pinred.InputError, match="stops"):
         pinred.lyapunov(pinred.simulate(scene))
 
@@ -526,6 +500,28 @@ def test_impacts_within_the_tolerance_of_time_are_one(apart: float, are_one: boo
         stops={"left": (-1.0, 0.5, 0.5), "right": (-0.5 - apart, 1.0, 0.5)},
     )  # fmt: skip
     assert (len(traj.impacts.times) == 1) is are_one
+
+
+@pytest.mark.parametrize("after", [0.0, 1e-16, 1e-12])
+def test_motion_that_ends_just_after_an_impact_exists(after: float) -> None:
+    """The time that is left may be too short for a gap above round-off."""
+    traj = pinred.simulate(
+        bouncing_slide(), x0=[0.3], xdot0=[-1.0], xi0=[0.0], duration=0.3 + after,
+        stops={"slide": (0.0, 1.0, 0.5)},
+    )  # fmt: skip
+    np.testing.assert_allclose(traj.impacts.t, [0.3], rtol=1e-12)
+    np.testing.assert_allclose(traj.x[-1], 0.0, atol=1e-11)
+
+
+def test_force_that_switches_releases_a_joint() -> None:
+    """The reaction changes its sign at the switch: x = (t − 0.5)² F / 2m after it."""
+    force = Torque(lambda t, *_: [ca.if_else(t < 0.5, -1.0, 1.0)])
+    traj = pinred.simulate(
+        bouncing_slide(), x0=[0.05], xdot0=[-0.1], xi0=[0.0], duration=1.0, forces=[force],
+        stops={"slide": (0.0, 1.0)},
+    )  # fmt: skip
+    assert traj.motion.modes[-1] == (0.5, "no joint at rest")
+    np.testing.assert_allclose(traj.x[-1], 0.5 * 0.5**2 / 0.75, rtol=1e-9)
 
 
 def test_too_many_impacts_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,6 +16,7 @@ from ...forces.force_values import ForceInputs
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...simulation.trajectory import Trajectory
+from .impacts_in_period import tangents_through_stops
 from .linearised_flow import Linearisation, LinearisedFlow, linearised, linearised_flow, scene_at
 
 _STEPS_PER_BASIS = 10  # number of steps between two orthonormalisations
@@ -149,7 +150,9 @@ def floquet(traj: Trajectory, *, period: float | None = None) -> FloquetMultipli
     """Compute the Floquet multipliers of a motion whose reduced state is periodic.
 
     The base need not return to its initial pose: its displacement over a period is the phase of the
-        motion.
+        motion. With joint stops, the derivatives contain the jumps at impacts. The start must be a
+        time at which no joint is at its stop. Joints with stops are not cyclic: their positions and
+        momenta belong to the leaf.
 
     Args:
         traj: Motion that the compiled engine computed.
@@ -167,9 +170,13 @@ def floquet(traj: Trajectory, *, period: float | None = None) -> FloquetMultipli
             f"period: expected at most the duration {traj.scene.end:g} s of the motion, got "
             f"{T:g} s. Simulate at least one period."
         )
-    flow = linearised_flow(traj)
-    initial_y, initial_basis = flow.y.copy(), flow.Y.copy()
-    flow.advance_converged(T)
+    if traj.scene.bounds:
+        initial, flow = tangents_through_stops(traj, T)
+        initial_y, initial_basis = initial.y, initial.Y
+    else:
+        flow = linearised_flow(traj)
+        initial_y, initial_basis = flow.y.copy(), flow.Y.copy()
+        flow.advance_converged(T)
     flow.align(initial_y)
     flow.reset_gauge()
     closure = _closure(traj, flow, initial_y, T)

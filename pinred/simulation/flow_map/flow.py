@@ -46,8 +46,10 @@ class Flow:
     is differentiated in body coordinates: with respect to η at η = 0 in g exp(η̂).  Likewise, the
     attitude R of a ball joint in a shape is differentiated with respect to w in R exp(ŵ).  With
     closed loops, the shape and its rate are projected to a closed state as in `simulate`, and
-    derivatives contain this projection.  Where Parameters of prescribed joints move them at time 0,
-    the other joints follow by the loops from the scene's shape.
+    derivatives contain this projection.  With joint stops, states are those of `simulate`, and
+    derivatives jump at impacts, rests and releases; the numbers of stops are inputs, such as
+    "elbow.stop.upper" and "elbow.stop.restitution".  Where Parameters of prescribed joints move
+    them at time 0, the other joints follow by the loops from the scene's shape.
 
     Attributes:
         scene: The scene.
@@ -76,9 +78,15 @@ class Flow:
         self.over_times = over_times
         expect_integration(plan.method)  # before the kernels are imported
         from ...kernels.flow_functions import sizes_of
+        from .flow_through_stops import StoppedPropagator
         from .propagator import Propagator
 
-        self.propagator = Propagator(plan, zero_momentum=_stays_zero(scene, wrt))
+        zero = _stays_zero(scene, wrt)
+        self.propagator = (
+            StoppedPropagator(reported, wrt, zero_momentum=zero)
+            if scene.bounds
+            else Propagator(plan, zero_momentum=zero)
+        )
         self.input_map = Inputs(scene, self.propagator.kernel, plan.acting.gravity, wrt)
         self._rows = _checked_rows(of, wanted=plan.wanted)
         sizes = sizes_of(scene.system)
@@ -357,7 +365,8 @@ def flow(
     The flow returns the state at the end, or at `times` if the scene has them.  An InputError is
     raised for scenes without derivatives: with Controllers, which are Python functions, or with
     methods other than DOP853, Tsit5, Gauss and AdaptiveGauss.  A flow detects no events;
-    docs/flow.md shows how to get derivatives at a terminal event.
+    docs/flow.md shows how to get derivatives at a terminal event.  Impacts at joint stops have
+    derivatives; docs/stops.md lists where they are refused.
 
     Args:
         scene: A System, or a Scene whose options apply unless `options` replaces them.

@@ -122,7 +122,8 @@ class Columns:
         count = _common_count([len(batch) for batch in batches])
         if not count:
             return np.zeros((0, self.size))
-        if count == 1 or self.flow.system.loops:  # lanes store no steps at which loops are checked
+        # Lanes store no steps at which loops are checked, and look for no impacts.
+        if count == 1 or self.flow.system.loops or self.flow.scene.bounds:
             rows = [[batch[k % len(batch)] for batch in batches] for k in range(count)]
             return np.array([self.value(*row) for row in rows])
         arguments = [

@@ -20,6 +20,7 @@ from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import order_by_joint
 from ...scene.scene import Scene
+from ...scene.stop import stop_numbers
 from ..robot_columns import RobotColumns, with_own
 from .closed_inputs import close_inputs, closing_slopes
 from .planned_start import PlannedStart
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from ...kernels.kernel import Kernel
 
 _NONE: Mapping[str, Array] = MappingProxyType({})
+_NO_VALUES: Mapping[str, float | Array] = MappingProxyType({})
+_NO_NUMBERS: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -38,14 +41,18 @@ class Given:
     Attributes:
         state: Pose, shape, shape rate, and body twist or momentum, one after another.
         constants: Parameters of the kernel from gravity on, then the acceleration of the centre
-            of mass in free fall, (k,).
+            of mass in free fall, and the numbers of joint stops, (k,).
         robot: Values of robot parameters that the call states, by name.
+        forces: Values of parameters of forces that the call states, by name.
+        stops: Numbers of joint stops that the call states, by name.
         rates: Shape rates before they are projected to keep loops closed, (m,); None without loops.
     """
 
     state: Array
     constants: Array
     robot: Mapping[str, Array] = field(default_factory=lambda: _NONE)
+    forces: Mapping[str, float | Array] = field(default_factory=lambda: _NO_VALUES)
+    stops: Mapping[str, float] = field(default_factory=lambda: _NO_NUMBERS)
     rates: Array | None = None
 
 
@@ -83,7 +90,9 @@ class Inputs:
         self._slopes = {} if model is None else _slopes_by_name(model)
         numbers = np.empty(0) if model is None else model.numbers
         bodies = free_numbers(system, layout.freed)
-        constants = [gravity[list(layout.gravity)], bodies, numbers, falling(system)]
+        self._stops = stop_numbers_of(scene)
+        stops = np.array([*self._stops.values()])
+        constants = [gravity[list(layout.gravity)], bodies, numbers, falling(system), stops]
         self.own = Given(np.concatenate([*initial_parts.values()]), np.concatenate(constants))
         first = len(layout.gravity) + len(bodies)
         self._numbers_at = slice(first, first + len(numbers))
@@ -93,18 +102,23 @@ class Inputs:
             name: scene.parameters.get(name, parameter.value)
             for name, parameter in self._parameters.items()
         }
+        self._values |= self._stops
+        self._stops_at = {
+            name: k - len(self._stops) for k, name in enumerate(self._stops)
+        }  # from the end of the constants
         for name in self._parameters:
-            if name in self._places or name in self._robot_values:
+            if name in self._places or name in self._robot_values or name in self._stops:
                 raise InputError(
                     f"a Parameter of the forces has the name '{name}' of another input of the "
                     "flow. Rename the Parameter."
                 )
-        self.known = (*self._places, *self._parameters, *self._robot_values)
+        self.known = (*self._places, *self._parameters, *self._robot_values, *self._stops)
         self.names = tuple(self._check_names(wrt, self.known))
         sizes = {name: place.stop - place.start for name, place in self._places.items()}
         sizes |= {"pose0": system.r, "x0": system.m}
         sizes |= {n: len(v) for n, v in self._robot_values.items()}
         sizes |= {n: slope.shape[1] for n, slope in self._slopes.items()}
+        sizes |= dict.fromkeys(self._stops, 1)
         self.sizes = {name: sizes[name] for name in self.names}
         self._spans = _slices(self.sizes)
         curved = ["pose0", *["x0"] * bool(system.space.balls or system.loops)]
@@ -148,10 +162,16 @@ class Inputs:
             robot_values = self._robot.now({name: values[name] for name in changed})
             self._robot.put(constants, robot_values, changed)
             robot = {name: robot_values[name] for name in changed}
+        forces: dict[str, float | Array] = {}
+        stops: dict[str, float] = {}
         for name, value in values.items():
             if name in changed:
                 continue
             place = self._places.get(name)
+            if name in self._stops_at:
+                stops[name] = float(vector(np.ravel(value), 1, name)[0])
+                constants[self._stops_at[name]] = stops[name]
+                continue
             if place is None:
                 if name not in self._parameters:
                     self._check_names([name], self.known)
@@ -161,11 +181,13 @@ class Inputs:
                     entries = vector(value, len(own), name)
                     for k in range(len(own)):
                         constants[self._numbers_at] += slopes[:, k] * (entries[k] - own[k])
+                    forces[name] = entries
                     continue
                 number = value
                 if type(value) is not float or not isfinite(value):
                     number = float(vector(np.ravel(value), 1, name)[0])
                 constants[self._numbers_at] += slopes[:, 0] * (number - own)
+                forces[name] = number
             elif name == "pose0":
                 state[place] = self._system.group.pose(value)
             elif isinstance(value, Mapping):
@@ -181,11 +203,11 @@ class Inputs:
             state[place] = self._system.space.normalized(state[place], "x0", near=False)
         opening = {"x0", "xdot0", *(self._slopes if self._planned.joints else ())}
         if not (self._system.loops and opening & values.keys()):
-            return Given(state, constants, robot)
+            return Given(state, constants, robot, forces, stops)
         x, rates = state[self._places["x0"]], state[self._places["xdot0"]].copy()
         self._planned.put(x, rates, constants[self._numbers_at])
         state[self._shape_at] = close_inputs(self._system, x, rates, values, self._planned.joints)
-        return Given(state, constants, robot, rates)
+        return Given(state, constants, robot, forces, stops, rates)
 
     def _check_names(self, names: Sequence[str], known: Sequence[str]) -> list[str]:
         """Return the names as a list.  Raises InputError if a name is unknown or repeated."""
@@ -250,6 +272,8 @@ class Inputs:
         for name, span in self._spans.items():
             if name in self._slopes:
                 constants[self._numbers_at, span] = self._slopes[name]
+            elif name in self._stops_at:
+                constants[self._stops_at[name], span] = 1.0
             elif name in self._places and name not in self._curved:
                 state[self._places[name], span] = np.eye(self.sizes[name])
         self._put_tangents(state, self.own)
@@ -313,7 +337,14 @@ def with_varied(scene: Scene, names: Sequence[str]) -> Scene:
 
     An InputError is raised for bodies and joints that do not exist.
     """
-    return with_own(scene, _as_list(names))
+    stops = stop_numbers_of(scene)
+    return with_own(scene, [name for name in _as_list(names) if name not in stops])
+
+
+def stop_numbers_of(scene: Scene) -> dict[str, float]:
+    """Return the numbers of a scene's joint stops by name; see `stop_numbers`."""
+    stops: Any = scene.stops
+    return stop_numbers(stops) if scene.bounds else {}
 
 
 def motion_of(scene: Scene) -> TwistOrMomentum:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,6 @@ class Propagator:
         zero_momentum: Whether the angular momentum is zero for all inputs.
         kernel: Machine code and layout.
         field: Addresses of the vector field and of its derivatives.
-        initial: The map from the inputs to the initial reduced state.
     """
 
     def __init__(self, plan: Plan, *, zero_momentum: bool) -> None:
@@ -67,9 +67,6 @@ class Propagator:
             )
         refuse_without_derivatives(self.method)
         self.kernel = kernel = kernel_of(plan, zero_momentum=zero_momentum, generic=True)
-        self.initial = InitialMap(
-            kernel, motion_of(plan.scene), None if plan.forces is None else plan.forces.tables
-        )
         rate, layout = rate_of(kernel), kernel.layout
         self.field = SmoothField(
             address=rate_address(kernel, self.method),
@@ -83,6 +80,13 @@ class Propagator:
         self._n = max(layout.size, 1)
         self._backs: dict[tuple[Row, ...], OutcomeAdjoint] = {}
         self._integrations = [self._integration(span) for span in plan.spans]
+
+    @cached_property
+    def initial(self) -> InitialMap:
+        """The map from the inputs to the initial reduced state."""
+        plan = self.plan
+        tables = None if plan.forces is None else plan.forces.tables
+        return InitialMap(self.kernel, motion_of(plan.scene), tables)
 
     def _integration(self, span: Span, method: Method | None = None) -> Integration:
         """Prepare the integration over one span, with another longest step if a method is given."""
@@ -160,6 +164,19 @@ class Propagator:
                     raise IntegrationError(wild)
             solutions.append(solution)
         return solutions
+
+    def solution(self, flow: CompiledFlow, span: Span, longest: float) -> Solution:
+        """Return the solution over a span from the state of a flow, with its stages.
+
+        Args:
+            flow: The flow.
+            span: The span.
+            longest: Longest step [s], if forces depend on time.
+        """
+        method: Any = self.method
+        if self.plan.has_time_functions and self.method.adaptive:
+            method = replace(method, max_step=min(method.max_step, longest))
+        return self._solve(flow, [span], [self._integration(span, method)], stages=True)[0]
 
     def end(self, run: Run) -> State | ShapeState:
         """Return the final full state of a run; its fields are computed at first access."""
@@ -248,29 +265,54 @@ class Propagator:
         Raises:
             IntegrationError: A derivative is not finite.
         """
-        layout, size = self.kernel.layout, self._size(rows)
         y, parameters, path = self.initial.along(run.given, state, constants)
-        outcome, derivatives = outcome_of(self.kernel, rows), []
+        derivatives = list[Array]()
         jumps = jumps_of(self.kernel, self.plan, run.flow.numbers, run.spans, run.solutions)
         numbers = parameters[run.flow.numbers_at]
         for k, (span, solution) in enumerate(zip(run.spans, run.solutions, strict=True)):
             if k in jumps:
                 y = y + np.outer(jumps[k].change, jumps[k].delay(numbers))
-            tangents = run_along(
-                self.method, self.field, solution.params, solution.states[0], solution.knots,
-                span.times, y, parameters, solution.states,
-            )  # fmt: skip
-            y = tangents.end_slopes
-            if not span.times.size:
-                continue
-            b = np.concatenate([solution.params, run.flow.path])
-            b_along = np.vstack([parameters, path])
-            points = self._outcome_points(run.flow, span, solution)
+            y, part = self.along_span(run.flow, span, solution, rows, y, (parameters, path))
+            derivatives += part
+        return self._finite(np.array(derivatives))[0]
+
+    def along_span(
+        self,
+        flow: CompiledFlow,
+        span: Span,
+        solution: Solution,
+        rows: tuple[Row, ...],
+        y: Array,
+        constant: tuple[Array, Array],
+    ) -> tuple[Array, list[Array]]:
+        """Propagate N tangents over a span.
+
+        Args:
+            flow: The flow.
+            span: The span.
+            solution: Its solution.
+            rows: Names of the outputs.
+            y: Tangents of the state at its start, (n, N).
+            constant: Tangents of the parameters, (p, N), and of the path, (3k, N).
+        Returns:
+            Tangents at its end, and of the outputs at each report time, (rows, N).
+        """
+        parameters, path = constant
+        tangents = run_along(
+            self.method, self.field, solution.params, solution.states[0], solution.knots,
+            span.times, y, parameters, solution.states,
+        )  # fmt: skip
+        derivatives = list[Array]()
+        if span.times.size:
+            outcome, size = outcome_of(self.kernel, rows), self._size(rows)
+            layout = self.kernel.layout
+            b, b_along = np.concatenate([solution.params, flow.path]), np.vstack([parameters, path])
+            points = self._outcome_points(flow, span, solution)
             for a, slopes in zip(points, tangents.slopes, strict=True):
-                a_along = np.zeros((len(a), state.shape[1]))
+                a_along = np.zeros((len(a), y.shape[1]))
                 a_along[: layout.size] = slopes[: layout.size]
                 derivatives.append(outcome.forward(a, b, a_along, b_along, size))
-        return self._finite(np.array(derivatives))[0]
+        return tangents.end_slopes, derivatives
 
     def back(self, run: Run, rows: tuple[Row, ...], covectors: Array) -> tuple[Array, ...]:
         """Return the cotangents of the inputs' state and constants.
@@ -284,28 +326,53 @@ class Propagator:
         Raises:
             IntegrationError: A derivative is not finite.
         """
-        layout = self.kernel.layout
-        adjoint = self._backs.get(rows)
-        if adjoint is None:
-            adjoint = self._backs[rows] = OutcomeAdjoint(self.kernel, rows)
-        p = layout.parameters
+        p = self.kernel.layout.parameters
         by_rest = np.zeros(p + len(run.flow.path))
         covector = np.zeros(self._n)
         jumps = jumps_of(self.kernel, self.plan, run.flow.numbers, run.spans, run.solutions)
         by_numbers = by_rest[:p][run.flow.numbers_at]
         for k in range(len(run.spans) - 1, -1, -1):
             span, solution = run.spans[k], run.solutions[k]
-            at_times = np.zeros((len(span.times), self._n))
-            if len(span.times):
-                constants = np.concatenate([solution.params, run.flow.path])
-                times, weights = span.times, covectors[span.rows]
-                adjoint((span.start, times, solution.y, constants, weights, at_times, by_rest))
-            gradients = run_back(self.method, self.field, solution, span.times, covector, at_times)
-            covector = gradients.by_state
-            by_rest[:p] += gradients.by_parameters
+            weights = rows, covectors
+            covector = self.back_span(run.flow, span, solution, weights, covector, by_rest)
             if k in jumps:
                 by_numbers += (covector @ jumps[k].change) * jumps[k].only_slopes()
         return self._finite(*self.initial.back(run.given, covector, by_rest[:p], by_rest[p:]))
+
+    def back_span(
+        self,
+        flow: CompiledFlow,
+        span: Span,
+        solution: Solution,
+        weights: tuple[tuple[Row, ...], Array],
+        covector: Array,
+        by_rest: Array,
+    ) -> Array:
+        """Propagate a covector back over a span.
+
+        Args:
+            flow: The flow.
+            span: The span.
+            solution: Its solution.
+            weights: Names of the outputs, and covectors of all report times, (T, rows).
+            covector: Covector of the state at its end, (n,).
+            by_rest: Cotangents of the parameters and of the path, to which those of the span are
+                added, (p + 3k,).
+        Returns:
+            Covector at its start, (n,).
+        """
+        rows, covectors = weights
+        adjoint = self._backs.get(rows)
+        if adjoint is None:
+            adjoint = self._backs[rows] = OutcomeAdjoint(self.kernel, rows)
+        at_times = np.zeros((len(span.times), self._n))
+        if len(span.times):
+            constants = np.concatenate([solution.params, flow.path])
+            own = covectors[span.rows]
+            adjoint((span.start, span.times, solution.y, constants, own, at_times, by_rest))
+        gradients = run_back(self.method, self.field, solution, span.times, covector, at_times)
+        by_rest[: self.kernel.layout.parameters] += gradients.by_parameters
+        return gradients.by_state
 
     def _finite(self, *derivatives: Array) -> tuple[Array, ...]:
         """Return derivatives.  Raises IntegrationError if one is not finite."""

@@ -79,14 +79,29 @@ def jumps_of(
     rows = plan.forces.switching.slopes(np.array([span.stop for span in spans]), numbers)
     jumps = {}
     for k in range(len(spans) - 1):
-        before, after = solutions[k], solutions[k + 1]
-        y = after.states[0].copy()
+        y = solutions[k + 1].states[0].copy()
         unit_alone(y, kernel.layout.quaternions)
-        rates = [
-            evaluate(kernel.rate.address, params, y[None], len(y))[0]
-            for params in (before.params, after.params)
-        ]
-        change = rates[0] - rates[1]
-        if rows[k].any() and change.any():
-            jumps[k + 1] = Jump(float(spans[k].stop), change, rows[k])
+        params = [solution.params for solution in solutions[k : k + 2]]
+        jump = jump_between(kernel, params, y, float(spans[k].stop), rows[k])
+        if jump is not None:
+            jumps[k + 1] = jump
     return jumps
+
+
+def jump_between(
+    kernel: Kernel, params: Sequence[Array], y: Array, time: float, slopes: Array
+) -> Jump | None:
+    """Return the jump of derivatives at a stop, or None if there is none.
+
+    Args:
+        kernel: Kernel of the run.
+        params: Its parameters before and after the stop, (p,) each.
+        y: State at the stop, with unit quaternions, (n,).
+        time: Time of the stop [s].
+        slopes: Derivatives of the time; see Jump.
+    """
+    if not slopes.any():
+        return None
+    before, after = (evaluate(kernel.rate.address, own, y[None], len(y))[0] for own in params)
+    change = before - after
+    return Jump(time, change, slopes) if change.any() else None
