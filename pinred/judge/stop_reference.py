@@ -22,7 +22,9 @@ from ..reduction.inertia_split import symmetric
 from ..scene.scene import Scene
 from ..scene.stop import Stop
 from ..simulation.trajectory import Trajectory
+from ..system.loops.kinematics import LoopKinematics
 from .distances import FullMotion
+from .loop_errors import RANK
 from .reference_solution import PERTURBATION, FullState
 from .time_budget import AbaStopped, TimeBudget
 
@@ -30,6 +32,8 @@ _LEAST_RTOL = 2.3e-14  # tightest relative tolerance of SciPy's DOP853
 _SAMPLES = 16  # number of times in a step at which gaps and reactions are evaluated
 _SHORTER = 0.5 ** np.arange(1, 41)  # parts of an interval in which a joint may leave and return
 _MOST_TRIED = 12  # largest number of stops for which all sets of impulses are tried
+_SLOW = 1e-3  # rebound above which round-off of a position cannot sustain it [rad/s | m/s]
+_LIFT = 4.0 * float(np.finfo(float).eps)  # of a joint by round-off at its stop, relative
 NEVER = 1e300  # growth of perturbations after they change the order of impacts
 
 Rows = tuple[int, ...]
@@ -123,6 +127,8 @@ class StoppedFullState(FullState):
         driven = np.zeros((len(self._driven), self._model.nv))
         driven[np.arange(len(self._driven)), self._r + np.array(self._driven, dtype=np.intp)] = 1.0
         self._constraints = np.vstack([self.couplings.J, driven])
+        loops = scene.system.loops
+        self._loops = LoopKinematics(self._model, loops) if loops else None
         # Rows of the joints of the shape: a locked leader has the multiplier of its own row.
         self._leads = self._r + self.couplings.leads
 
@@ -185,7 +191,12 @@ class StoppedFullState(FullState):
 
     def response(self, q: Array) -> Array:
         """Return the matrix from generalised impulses to changes of the velocity, (nv, nv)."""
-        inverse, C = np.linalg.inv(self.mass_matrix(q)), self._constraints
+        H, C = self.mass_matrix(q), self._constraints
+        if self._loops is not None:  # the equations of loops may be redundant
+            _, sizes, rows = np.linalg.svd(np.vstack([C, self._loops.jacobian(q)]))
+            free = rows[int((sizes > RANK * sizes[0]).sum()) :]
+            return np.asarray(free.T @ np.linalg.solve(free @ H @ free.T, free))
+        inverse = np.linalg.inv(H)
         if not len(C):
             return np.asarray(inverse)
         return np.asarray(inverse - inverse @ C.T @ np.linalg.solve(C @ inverse @ C.T, C @ inverse))
@@ -387,7 +398,7 @@ class _HybridRun:
         first, S = len(y) - full.nv, tuple(sorted({*rest, *touching}))
         self._recent.clear()
         rates = full.rate(t, y)[first:]
-        v, rows = y[first:], [full.rows[k] for k in S]
+        v, rows = y[first:].copy(), [full.rows[k] for k in S]
         normals, response = full.normals(S), full.response(full.q(y))
         G, u = normals @ response @ normals.T, normals @ v
         u[[k in rest for k in S]] = 0.0
@@ -402,8 +413,14 @@ class _HybridRun:
         chosen = [
             k
             for k, row in enumerate(rows)
-            if rebound[k] <= row.stop.rest_rate and S[k] not in released
+            if rebound[k] <= max(row.stop.rest_rate, _SLOW) and S[k] not in released
         ]
+        slow = rebound <= [row.stop.rest_rate for row in rows]
+        # Round-off of the position sustains rebounds of this height; a stop at zero has none.
+        least = np.array([2.0 * _LIFT * abs(row.position) for row in rows])
+        least *= np.where(e < 1.0, e**2 / np.maximum(1.0 - e**2, _LIFT), 0.0)
+        usual_least = [scene.atol + scene.rtol * max(1.0, abs(row.position)) for row in rows]
+        height = np.where(slow, np.maximum(least, usual_least), least)
         while True:
             impulse, block = usual.copy(), G[np.ix_(chosen, chosen)]
             impulse[chosen] -= np.linalg.solve(block, rebound[chosen])
@@ -416,15 +433,11 @@ class _HybridRun:
             leaves = [
                 k
                 for k, stay, a in zip(chosen, stays, back, strict=True)
-                if rebound[k] > 0.0
-                and not (
-                    stay
-                    and rebound[k] ** 2 / (2.0 * a)
-                    <= scene.atol + scene.rtol * max(1.0, abs(rows[k].position))
-                )
+                if rebound[k] > 0.0 and not (stay and rebound[k] ** 2 / (2.0 * a) <= height[k])
             ]
             if not leaves:
                 break
+            leaves = [k for k in leaves if not slow[k]] or leaves
             chosen = [k for k in chosen if k not in leaves]
         for k, row in enumerate(rows):
             if impulse[k]:

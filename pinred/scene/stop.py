@@ -136,11 +136,6 @@ def parse_stops(value: Any, system: System) -> dict[str, Stop]:
         raise InputError(
             f"stops: expected 'file', or {{joint: Stop or (lower, upper)}}, got {brief(value)}"
         )
-    if value and system.loops:
-        raise InputError(
-            f"stops: expected a robot without closed loops, got '{system.name}'. Open its loops "
-            "when it is loaded (loops=), or omit stops"
-        )
     joints = {joint.name: joint for joint in system.tree.joints}
     stops = {}
     for name, entry in value.items():

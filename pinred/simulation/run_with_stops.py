@@ -32,6 +32,7 @@ from ..scene.option_checks import list_forces
 from ..scene.scene import Scene
 from ..scene.stop import Bound
 from ..system.coordinates import Indices
+from ..system.loops.looped_system import loop_jacobian
 from ..system.state_fields import ShapeState, State
 from .balances import driving_torques
 from .compiled.compiled_flow import CompiledFlow
@@ -43,6 +44,7 @@ from .motion import Motion
 from .plan import Plan, plan_of
 from .reduced_flow import Integrate, ReducedFlow, Segment
 from .sample import Sample
+from .singular_loops import refuse_singular_loops
 from .trajectory import Cost, Trajectory
 
 _CHUNK = 8  # Number of steps after which stops are first looked for.
@@ -50,6 +52,8 @@ _ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # of a position, relative
 _LEAST_GAP = 1e-18  # Smallest margin of a gap, for stops at zero [rad | m].
 _CLINGING = 1e-12  # Pull of a stop that counts as round-off, per kinetic energy [1/rad | 1/m].
 _AT_REST = 1e-13  # Rate at a stop that counts as zero, relative to the largest rate.
+_SLOW = 1e-3  # Rebound above which round-off of a position cannot sustain it [rad/s | m/s].
+_DEPENDENT = 1e-9  # Eigenvalue of scaled metrics below which motions of joints are dependent.
 _NEWTON = 0.6  # Largest part of a step in which a single root is polished.
 _MOST_NEWTON, _SAME = 100, 1e-16  # Steps for a root, and the change at which it is found.
 MOST_IMPACTS = 100_000  # Largest number of impacts of one run.
@@ -405,9 +409,8 @@ class _Run:
         self.first = CompiledFlow.of_plan(free_plan)
         integrate = integrator(self.first, free_plan, progress, chunk=_CHUNK)
         self._modes: dict[Rest, Mode] = {(): Mode((), self.bounds, self.first, integrate)}
-        self._reduction = self.system.workspace(
-            PointwiseReduction, lambda: PointwiseReduction(self.system)
-        )
+        tree = self.system.open_tree()
+        self._reduction = tree.workspace(PointwiseReduction, lambda: PointwiseReduction(tree))
         # Rates that impacts change, and the index of each rate among them.
         self._rates = list(plan.acting.free)
         self._impacts, self.building = 0, 0.0
@@ -417,13 +420,13 @@ class _Run:
     def _limited(self, scene: Scene) -> Plan:
         return plan_of(scene).limited(self.plan.longest, self.plan.stops[:-1])
 
-    def mode(self, rest: Rest) -> Mode:
-        """Return a mode, built at its first use."""
+    def mode(self, rest: Rest, x: Array, xdot: Array) -> Mode:
+        """Return a mode, built at its first use for a state with these joints at rest."""
         mode = self._modes.get(rest)
         if mode is None:
             began = time.perf_counter()
             locked = {bound.v for bound in rest}
-            plan = self._limited(self._locked(rest))
+            plan = self._limited(self._locked(rest, x, xdot))
             flow = self.first.in_mode(plan)
             moving = tuple(bound for bound in self.bounds if bound.v not in locked)
             integrate = integrator(flow, plan, self.progress, chunk=_CHUNK)
@@ -431,12 +434,9 @@ class _Run:
             self.building += time.perf_counter() - began
         return mode
 
-    def _locked(self, rest: Rest) -> Scene:
-        """Return the scene with some joints locked at their stops."""
-        scene, start = self._free, self._free.start
-        x, xdot, names = start.x.copy(), start.xdot.copy(), self.system.shape_names
-        for bound in rest:
-            x[bound.x], xdot[bound.v] = bound.position, 0.0
+    def _locked(self, rest: Rest, x: Array, xdot: Array) -> Scene:
+        """Return the scene with some joints locked at their stops, from a state of this mode."""
+        scene, start, names = self._free, self._free.start, self.system.shape_names
         plans = {names[bound.v]: bound.position for bound in rest}
         return replace(
             scene, x0=x, xdot0=xdot, xi0=start.xi, pose0=start.pose, momentum=None, seed=None,
@@ -449,7 +449,7 @@ class _Run:
         x = self._free.start.x
         touching = [bound for bound in self.bounds if self._gap(bound, x) <= 0.0]
         state = _State(0.0, self.first, self.first.y0)
-        phase = Phase(self.mode(()), 0.0, self.first, None)
+        phase = Phase(self._modes[()], 0.0, self.first, None)
         if touching:
             phase = self._resolve(state, (), touching, released=())
         while True:
@@ -528,6 +528,7 @@ class _Run:
         rows = [self._rates.index(k) for k in v]
         inverse = self._inverse_metric(x, rows)
         G = sign[:, None] * inverse[rows] * sign
+        self._refuse_dependent(bounds, G, state.t)
         small = _AT_REST * float(np.abs(xdot).max(initial=0.0))
         u = sign * xdot[v]
         u[[bound in rest for bound in bounds]] = 0.0
@@ -535,7 +536,13 @@ class _Run:
         contact = _Contact(bounds, np.where(np.abs(u) <= small, 0.0, u), 0.5 * (G + G.T), may_rest)
         impulse, after, resting = self._outcome(state, contact, x, xdot, inverse, sign)
         pi[v] += sign * impulse
-        new = self.mode(tuple(b for b, stays in zip(bounds, resting, strict=True) if stays))
+        rates = xdot.copy()
+        rates[self._rates] += inverse @ (sign * impulse)
+        if self.system.loops:
+            pi = self._momenta_in_loops(state, x, rates)
+        rests = tuple(b for b, stays in zip(bounds, resting, strict=True) if stays)
+        rates[[b.v for b in rests]] = 0.0
+        new = self.mode(rests, x, rates)
         flow = new.start.resumed(state.t, x, pi, state.flow, state.y)
         impact = _impact(state.t, contact, impulse, after)
         self._count(impact, state.t)
@@ -547,16 +554,20 @@ class _Run:
         """Return the impulses, the rates after them, and the joints that rest, (K,) each.
 
         Slow rebounds become rest if the joint stays at its stop. Whether it does depends on the
-        other joints, so the decision is repeated without those that leave.
+        other joints, so the decision is repeated without those that leave. At a contact, the joint
+        is moved to its stop, which is a lift by round-off that can sustain a very slow rebound.
+        Such a rebound becomes rest, too.
         """
         bounds, u, G = contact.bounds, contact.u, contact.G
         e = np.array([bound.stop.restitution for bound in bounds])
         slowest = np.array([bound.stop.rest_rate for bound in bounds])
         positions = np.array([abs(bound.position) for bound in bounds])
         allowed = self.scene.atol + self.scene.rtol * np.maximum(1.0, positions)
+        sustained = 2.0 * np.array([margin_of(bound) for bound in bounds])
+        sustained *= np.where(e < 1.0, e**2 / np.maximum(1.0 - e**2, _ROUND_OFF), 0.0)
         usual = impulses(G, u, e)
         rebound = np.where(usual > 0.0, -e * u, u + G @ usual)
-        slow = contact.may_rest & (rebound <= slowest)
+        slow = contact.may_rest & (rebound <= np.maximum(slowest, _SLOW))
         while True:
             chosen, impulse, after = np.flatnonzero(slow), usual.copy(), rebound.copy()
             block = G[np.ix_(chosen, chosen)]
@@ -573,7 +584,10 @@ class _Run:
                 rest = tuple(bounds[k] for k in chosen)
                 resting[chosen], back = self._stays(state, rest, block, x, rates)
                 height[chosen] = rebound[chosen] ** 2 / (2.0 * np.maximum(back, 1e-300))
-            leaves = slow & (rebound > 0.0) & ~(resting & (height <= allowed))
+            leaves = slow & (rebound > slowest) & ~(resting & (height <= sustained))
+            if not leaves.any():
+                low = np.maximum(np.where(rebound <= slowest, allowed, 0.0), sustained)
+                leaves = slow & (rebound > 0.0) & ~(resting & (height <= low))
             if not leaves.any():
                 return impulse, after, resting
             slow &= ~leaves
@@ -596,6 +610,36 @@ class _Run:
         if (locked >= -_CLINGING * energy).all():
             return np.ones(len(rest), dtype=bool), back
         return solve_complementarity(G, -G @ locked) > 0.0, back
+
+    def _refuse_dependent(self, bounds: Rest, G: Array, t: float) -> None:
+        """Reject stops of joints to which the loops leave no motions of their own.
+
+        Args:
+            bounds: The stops.
+            G: Inverse reduced metric with the signs of the stops, (K, K).
+            t: Time [s].
+        Raises:
+            IntegrationError: The motions of these joints depend on each other.
+        """
+        if not self.system.loops or not bounds:
+            return
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(G), 1e-300))
+        if np.linalg.eigvalsh(scale[:, None] * G * scale)[0] > _DEPENDENT:
+            return
+        names = listed([f"{bound.joint} at its {bound.side} stop" for bound in bounds], 8)
+        raise IntegrationError(
+            f"stops: the loops of '{self.system.name}' leave {names} no independent motions at "
+            f"t = {t:g} s, so the reactions of these stops are not determined. Omit one of them"
+        )
+
+    def _momenta_in_loops(self, state: _State, x: Array, xdot: Array) -> Array:
+        """Return the canonical momenta (m,) at a state whose rates keep the loops closed.
+
+        The multipliers of the loops are impulses, too. Their gauge begins at zero again.
+        """
+        r, split = self.system.r, self._reduction.split(x)
+        xi = self._sample(state, x, xdot).xi[0]
+        return np.asarray(split.mass_matrix[r:] @ np.concatenate([xi, xdot]))
 
     def _sample(self, state: _State, x: Array, xdot: Array) -> Sample:
         """Return the sample at a state with other rates of the shape and the same momentum."""
@@ -632,7 +676,8 @@ class _Run:
     def _inverse_metric(self, x: Array, columns: Sequence[int]) -> Array:
         """Return columns of the inverse reduced metric of the rates that impacts change.
 
-        It is the block of the inverse mass matrix that belongs to these rates.
+        It is the block of the inverse mass matrix that belongs to these rates. The multipliers of
+        closed loops keep the rates in them compatible.
         """
         system, r = self.system, self.system.r
         q = system.sorted_q(system.group.identity(), x)
@@ -641,7 +686,12 @@ class _Run:
         H = system.coupled_matrix(symmetric(upper))[np.ix_(kept, kept)]
         unit = np.zeros((len(kept), len(columns)))
         unit[r + np.array(columns), np.arange(len(columns))] = 1.0
-        return np.asarray(np.linalg.solve(H, unit)[r:])
+        response = np.linalg.solve(H, unit)[r:]
+        if system.closure is not None:
+            J = loop_jacobian(system, x)[system.closure.rows][:, self._rates]
+            of_loops = np.linalg.solve(H, np.vstack([np.zeros((r, len(J))), J.T]))[r:]
+            response -= of_loops @ np.linalg.solve(J @ of_loops, J @ response)
+        return np.asarray(response)
 
     @staticmethod
     def _gap(bound: Bound, x: Array) -> float:
@@ -682,6 +732,7 @@ def run_with_stops(plan: Plan, progress: Progress | None, again: Again) -> Traje
     run = _Run(plan, progress)
     started = time.perf_counter()
     motion = run.motion()
+    refuse_singular_loops(plan.system, motion)
     wall = time.perf_counter() - started - run.building  # kernels are built once
     cost = Cost("compiled", plan.method.name, motion.steps, motion.evaluations, wall, plan.notices)
     return trajectory_of_motion(plan, motion, cost, again)
