@@ -34,6 +34,8 @@ _SHORTER = 0.5 ** np.arange(1, 41)  # parts of an interval in which a joint may 
 _MOST_TRIED = 12  # largest number of stops for which all sets of impulses are tried
 _SLOW = 1e-3  # rebound above which round-off of a position cannot sustain it [rad/s | m/s]
 _LIFT = 4.0 * float(np.finfo(float).eps)  # of a joint by round-off at its stop, relative
+_AFFECTED = 10.0  # ratio of speeds that this lift changes to the speed that it sustains
+_CLINGING = 1e-14  # pull of a stop that counts as round-off, per kinetic energy [1/rad | 1/m]
 NEVER = 1e300  # growth of perturbations after they change the order of impacts
 
 Rows = tuple[int, ...]
@@ -72,6 +74,7 @@ class Hit:
         side: The stop, "lower" or "upper".
         impulse: Impulse on the joint [N·m·s | N·s].
         speed: Rate towards the stop before the impact [rad/s | m/s].
+        pull: Size of the acceleration before the impact [rad/s² | m/s²].
     """
 
     t: float
@@ -79,6 +82,7 @@ class Hit:
     side: str
     impulse: float
     speed: float
+    pull: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,7 @@ class StoppedFullState(FullState):
     Attributes:
         rows: The stops.
         at_rest: Stops at which joints rest in an own integration; None for those of a trajectory.
+        lifted: Speed of impacts that round-off of positions changes [rad/s | m/s].
     """
 
     def __init__(
@@ -123,6 +128,7 @@ class StoppedFullState(FullState):
         super().__init__(replace(scene, stops=None), None, budget)
         self.rows = _rows_of(scene, self._size, self._r)
         self.at_rest: Rows | None = None
+        self.lifted = 0.0
         self._rest_of = locked
         driven = np.zeros((len(self._driven), self._model.nv))
         driven[np.arange(len(self._driven)), self._r + np.array(self._driven, dtype=np.intp)] = 1.0
@@ -275,7 +281,7 @@ class StoppedFullState(FullState):
     @property
     def slowest(self) -> float:
         """Speed below which impacts of an accumulation are not compared [rad/s | m/s]."""
-        return 10.0 * max(row.stop.rest_rate for row in self.rows)
+        return max(self.lifted, *(10.0 * row.stop.rest_rate for row in self.rows))
 
 
 def full_state_of(traj: Trajectory, budget: TimeBudget | None = None) -> FullState:
@@ -314,6 +320,7 @@ class _HybridRun:
         full.set_span(0.0, self.end)
         if touching:
             y, rest = self._impact(0.0, y, (), touching, ())
+            self.states[self.times == 0.0] = y
         while t < self.end:
             t, y, functions = self._piece(t, y, rest)
             if functions:
@@ -428,7 +435,7 @@ class _HybridRun:
             held = tuple(S[k] for k in chosen)
             locked = full.reactions(t, y, held) if held else np.empty(0)
             stays = complementary(block, -block @ locked) > 0.0
-            stays |= (locked >= -1e-12 * energy).all()
+            stays |= (locked >= -_CLINGING * energy).all()
             back = locked / np.diag(np.linalg.inv(block)) if held else locked
             leaves = [
                 k
@@ -436,13 +443,16 @@ class _HybridRun:
                 if rebound[k] > 0.0 and not (stay and rebound[k] ** 2 / (2.0 * a) <= height[k])
             ]
             if not leaves:
+                fast = [abs(u[k]) for k in chosen if rebound[k] > 0.0 and not slow[k]]
+                self.full.lifted = max([self.full.lifted, *(_AFFECTED * speed for speed in fast)])
                 break
             leaves = [k for k in leaves if not slow[k]] or leaves
             chosen = [k for k in chosen if k not in leaves]
         for k, row in enumerate(rows):
             if impulse[k]:
                 strength = row.sign * float(impulse[k])
-                self.hits.append(Hit(t, row.joint, row.side, strength, float(-u[k])))
+                pull = float(abs(normals[k] @ rates))
+                self.hits.append(Hit(t, row.joint, row.side, strength, float(-u[k]), pull))
         for row in rows:
             y[row.x] = row.position
         return y, tuple(row for row, stay in zip(held, stays, strict=True) if stay)

@@ -119,9 +119,11 @@ def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
         The balance at the times of the states.
     """
     forces, impacts = plan.forces, motion.impacts
-    if impacts is not None:  # a report time at an impact has the state before it
+    if impacts is not None:
+        # A report time at an impact has the state before it, but time 0 has that after it.
+        times = np.maximum(states.t, np.nextafter(0.0, 1.0))
         lost = np.append(0.0, np.cumsum(impacts.energy_lost))
-        stopped = -lost[np.searchsorted(impacts.t, states.t, side="left")][:, None]
+        stopped = -lost[np.searchsorted(impacts.t, times, side="left")][:, None]
     else:
         stopped = np.zeros((len(states.t), 0))
     of_stops = (_STOPS,) * stopped.shape[1]

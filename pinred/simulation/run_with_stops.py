@@ -50,7 +50,7 @@ from .trajectory import Cost, Trajectory
 _CHUNK = 8  # Number of steps after which stops are first looked for.
 _ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # of a position, relative
 _LEAST_GAP = 1e-18  # Smallest margin of a gap, for stops at zero [rad | m].
-_CLINGING = 1e-12  # Pull of a stop that counts as round-off, per kinetic energy [1/rad | 1/m].
+_CLINGING = 1e-14  # Pull of a stop that counts as round-off, per kinetic energy [1/rad | 1/m].
 _AT_REST = 1e-13  # Rate at a stop that counts as zero, relative to the largest rate.
 _SLOW = 1e-3  # Rebound above which round-off of a position cannot sustain it [rad/s | m/s].
 _DEPENDENT = 1e-9  # Eigenvalue of scaled metrics below which motions of joints are dependent.
