@@ -21,6 +21,7 @@ from ..forces.switch_times import time_within
 from ..reduction.inertia_split import symmetric
 from ..scene.scene import Scene
 from ..scene.stop import Stop
+from ..simulation.control import Replay
 from ..simulation.trajectory import Trajectory
 from ..system.loops.kinematics import LoopKinematics
 from .distances import FullMotion
@@ -117,6 +118,7 @@ class StoppedFullState(FullState):
         scene: Scene,
         locked: Callable[[float], Sequence[int]],
         budget: TimeBudget | None = None,
+        replay: Replay | None = None,
     ) -> None:
         """Prepare the vector field.
 
@@ -124,8 +126,9 @@ class StoppedFullState(FullState):
             scene: The scene.
             locked: Function from a time to the indices of the shape rates that are locked then.
             budget: Time limit of all runs together.
+            replay: Recorded commands of controllers; None without controllers.
         """
-        super().__init__(replace(scene, stops=None), None, budget)
+        super().__init__(replace(scene, stops=None), replay, budget)
         self.rows = _rows_of(scene, self._size, self._r)
         self.at_rest: Rows | None = None
         self.lifted = 0.0
@@ -177,9 +180,13 @@ class StoppedFullState(FullState):
         finally:
             self.at_rest = None
 
-    def set_span(self, t: float, end: float) -> float:
+    def set_span(self, t: float, end: float, y: Array) -> float:
         """Set the parameters of forces after a time; return the time to which they apply [s]."""
         stop = next((float(stop) for stop in self._stops if stop > t), end)
+        if self._replay is not None:
+            parameters = self._parameters.copy()
+            stop = self._replay.begin(parameters, t, stop, partial(self.sample, y))
+            self.set_parameters(parameters)
         if self._switches.size and self._forces is not None:
             self._forces.set_span(self._parameters, time_within(t, stop))
         return min(stop, end)
@@ -297,7 +304,19 @@ def full_state_of(traj: Trajectory, budget: TimeBudget | None = None) -> FullSta
     def locked(t: float) -> tuple[int, ...]:
         return next(iter(traj.motion.locked(np.array([t]))))[0]
 
-    return StoppedFullState(traj.scene, locked, budget)
+    return StoppedFullState(traj.scene, locked, budget, _commands(traj))
+
+
+def _commands(traj: Trajectory) -> Replay | None:
+    """Return the commands of the controllers of a trajectory, which change between impacts."""
+    forces, motion = traj.scene.force_model, traj.motion
+    if forces is None or not forces.held:
+        return None
+    ends = motion.segments.ends
+    numbers = motion.numbers(ends)
+    changes = np.any(np.diff(numbers, axis=0) != 0.0, axis=1)
+    last = np.flatnonzero(np.append(changes, True))
+    return Replay(ends[last], [numbers[k] for k in last])
 
 
 class _HybridRun:
@@ -317,7 +336,7 @@ class _HybridRun:
         self.states = np.tile(y, (len(self.times), 1))
         rest: Rows = ()
         touching = tuple(np.flatnonzero(full.gaps(y) <= 1e-12).tolist())
-        full.set_span(0.0, self.end)
+        full.set_span(0.0, self.end, y)
         if touching:
             y, rest = self._impact(0.0, y, (), touching, ())
             self.states[self.times == 0.0] = y
@@ -349,12 +368,16 @@ class _HybridRun:
         from scipy.integrate import DOP853
         from scipy.optimize import brentq
 
-        full, reach = self.full, self.full.set_span(t, self.end)
+        full, reach = self.full, self.full.set_span(t, self.end, y)
         solver = DOP853(
             lambda s, z: full.limited_rate(s, z, rest), t, y, reach, rtol=self.rtol, atol=self.atol
         )
         before = self._functions(t, y, rest)
-        was = np.where(np.abs(before) <= 1e-12 * (1.0 + np.abs(before).max()), 1.0, before)
+        small = 1e-12 * (1.0 + np.abs(before).max())
+        pulls = np.flatnonzero(before[len(full.rows) :] < -small) + len(full.rows)
+        if pulls.size:  # a force that jumps at this time pulls joints away from their stops
+            return t, y, pulls.tolist()
+        was = np.where(np.abs(before) <= small, 1.0, before)
         while True:
             message = solver.step()
             if solver.status == "failed":

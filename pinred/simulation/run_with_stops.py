@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from itertools import pairwise
 from math import comb
 
@@ -24,7 +24,8 @@ from ..common.arrays import Array, read_only
 from ..common.errors import InputError, IntegrationError
 from ..common.names import listed
 from ..common.progress import Progress
-from ..forces.tracking import PD, ComputedTorque
+from ..forces.switch_times import time_within
+from ..forces.tracking import ComputedTorque, ComputedTorqueAtRest
 from ..integrators.methods import ErrorControl
 from ..reduction.inertia_split import symmetric
 from ..reduction.pointwise_reduction import PointwiseReduction
@@ -37,6 +38,7 @@ from ..system.state_fields import ShapeState, State
 from .balances import driving_torques
 from .compiled.compiled_flow import CompiledFlow
 from .compiled.integrator import integrator
+from .control import Control, ControlAction
 from .events import RootSearch, Watch, cut_at
 from .impacts import Impact, ImpactTable, impulses, solve_complementarity, table_of
 from .integrate_plan import Again, trajectory_of_motion
@@ -56,6 +58,7 @@ _SLOW = 1e-3  # Rebound above which round-off of a position cannot sustain it [r
 _DEPENDENT = 1e-9  # Eigenvalue of scaled metrics below which motions of joints are dependent.
 _NEWTON = 0.6  # Largest part of a step in which a single root is polished.
 _MOST_NEWTON, _SAME = 100, 1e-16  # Steps for a root, and the change at which it is found.
+_MOST_AT_ONCE = 100  # Largest number of successive impacts without time between them.
 MOST_IMPACTS = 100_000  # Largest number of impacts of one run.
 
 Rest = tuple[Bound, ...]
@@ -113,17 +116,23 @@ class StoppedMotion(Motion):
     without locked joints.
     """
 
-    def __init__(self, phases: Sequence[Phase], before: CompiledFlow, watch: Watch | None) -> None:
+    def __init__(
+        self,
+        phases: Sequence[Phase],
+        before: CompiledFlow,
+        watch: Watch | None,
+        actions: Sequence[ControlAction],
+    ) -> None:
         """Store a motion.
 
         Args:
             phases: The phases, in order of time.
             before: Flow from the initial state, before an impact at the start.
             watch: Detection of events.
+            actions: Calls of the controllers.
         """
-        super().__init__(
-            before, [segment for p in phases for segment in p.segments], varies=True, watch=watch
-        )
+        segments = [segment for phase in phases for segment in phase.segments]
+        super().__init__(before, segments, varies=True, actions=actions, watch=watch)
         self._phases, self._before = phases, before
         # Reduced states of all modes are filled up with zeros to one length.
         self._width = max(len(phase.flow.y0) for phase in phases)
@@ -413,9 +422,11 @@ class _Run:
         self._reduction = tree.workspace(PointwiseReduction, lambda: PointwiseReduction(tree))
         # Rates that impacts change, and the index of each rate among them.
         self._rates = list(plan.acting.free)
-        self._impacts, self.building = 0, 0.0
+        self._impacts, self._at_once, self.building = 0, 0, 0.0
         watched = self.scene.watched
         self.watch = None if watched is None else Watch(self.scene, self.first, watched)
+        # Force parameters of the scene, which controllers change.
+        self._control, self._numbers = Control(self.scene), self.first.numbers.copy()
 
     def _limited(self, scene: Scene) -> Plan:
         return plan_of(scene).limited(self.plan.longest, self.plan.stops[:-1])
@@ -438,9 +449,17 @@ class _Run:
         """Return the scene with some joints locked at their stops, from a state of this mode."""
         scene, start, names = self._free, self._free.start, self.system.shape_names
         plans = {names[bound.v]: bound.position for bound in rest}
+        resting = frozenset(bound.v for bound in rest)
+        forces = [
+            ComputedTorqueAtRest(**vars(force), resting=resting)
+            if isinstance(force, ComputedTorque)
+            else force
+            for force in list_forces(scene.forces)
+        ]
         return replace(
             scene, x0=x, xdot0=xdot, xi0=start.xi, pose0=start.pose, momentum=None, seed=None,
             keyframe=None, q0=None, v0=None, prescribed={**scene.prescribed, **plans},
+            forces=forces,
         )  # fmt: skip
 
     def motion(self) -> StoppedMotion:
@@ -456,7 +475,7 @@ class _Run:
             phases.append(phase)
             state, search = self._follow(phase)
             if state.t >= end or search is None:
-                return StoppedMotion(phases, self.first, self.watch)
+                return StoppedMotion(phases, self.first, self.watch, self._control.calls)
             phase = self._next(state, phase.mode, search)
 
     def _follow(self, phase: Phase) -> tuple[_State, _StopSearch | None]:
@@ -465,18 +484,24 @@ class _Run:
         cling = self._cling(flow, t, y) if mode.rest else 0.0
         if self.watch is not None:
             self.watch.flow = flow
-        for stop in self.plan.stops[self.plan.stops > t].tolist():
-            parameters = read_only(flow.parameters_between(t, stop))
-            own = self.first.parameters_between(t, stop)[self.first.numbers_at]
+        while t < self.scene.end:
+            stop = self._control.begin(
+                self._numbers, t, self._stop_after(t), partial(flow.sample, t, y)
+            )
+            own = read_only(self._numbers.copy())
+            parameters = read_only(self._commanded(flow, t, stop))
             search = _StopSearch(self.plan, mode, flow, own, cling)
             segment = mode.integrate(t, stop, read_only(y), parameters, search.look)
             is_hit = search.look(segment)
             parts = cut_at(search.found[0][0], segment, mode.integrate) if is_hit else [segment]
-            if not parts:
+            self._at_once = 0 if parts else self._at_once + 1
+            if self._at_once > _MOST_AT_ONCE:
                 raise IntegrationError(
                     f"stops: '{self.system.name}' cannot leave its stop at t = {t:g} s. Increase "
                     "rest_rate, or loosen the tolerances"
                 )
+            if not parts:  # A force that jumps, or another impact, acts on a joint at its stop.
+                return _State(t, flow, y), search
             for part in parts:
                 ended = self.watch is not None and self.watch.look(part)
                 if ended and self.watch is not None and self.watch.end is not None:
@@ -492,6 +517,16 @@ class _Run:
             if is_hit:
                 return _State(t, flow, y), search
         return _State(t, flow, y), None
+
+    def _commanded(self, flow: CompiledFlow, t: float, stop: float) -> Array:
+        """Return the parameters of a mode's flow from t to a stop, with held commands."""
+        parameters = flow.parameters_between(t, stop)
+        forces, of_mode = self.plan.forces, flow.kernel.forces
+        if forces is not None and of_mode is not None:
+            numbers = parameters[flow.numbers_at]
+            for (_, where), (_, target) in zip(forces.held, of_mode.held, strict=True):
+                numbers[target] = self._numbers[where]
+        return parameters
 
     def _next(self, state: _State, mode: Mode, search: _StopSearch) -> Phase:
         """Return the phase after an impact or a release."""
@@ -601,8 +636,9 @@ class _Run:
         R ≥ 0, and a or R is zero; R_locked are the reactions if all joints stay.
         """
         sample = self._sample(state, x, xdot)
-        own = self.first.parameters_between(state.t, self._stop_after(state.t))
-        numbers = own[self.first.numbers_at]
+        numbers = self._numbers.copy()
+        if self.plan.forces is not None:
+            self.plan.forces.set_span(numbers, time_within(state.t, self._stop_after(state.t)))
         t = np.array([state.t])
         locked = reactions_of(self.plan, rest, t, sample, numbers)[0]
         energy = self._energy(x, xdot, sample.xi[0])
@@ -749,18 +785,13 @@ def refuse_with_stops(plan: Plan, engine: str, *, check: bool, checkpoint: bool)
     Raises:
         InputError: An option does not act together with stops; the message has the remedy.
     """
-    forces, method = plan.forces, plan.method
-    reference = any(isinstance(f, (PD, ComputedTorque)) for f in list_forces(plan.scene.forces))
+    method = plan.method
     refused = {
         "engine 'pinocchio'. Use the compiled engine": engine != "compiled",
         "checkpoint. Omit it": checkpoint,
         "check. Omit it": check,
-        "controllers. Use forces or controls that are functions of time and state": bool(
-            forces is not None and forces.held
-        ),
         f"method {method.name}. Use DOP853, Tsit5 or auto": not isinstance(method, ErrorControl)
         or method.symplectic,
-        "forces with a reference. Use torques that are functions of the state": reference,
     }
     for words, is_refused in refused.items():
         if is_refused:
