@@ -109,8 +109,8 @@ def check_stops(
         # Impulses are proportional to the speed. Its error is that of the rates, and that of the
         # time of impact, times the acceleration.
         speed = b.speed if b.speed > 0.0 else np.inf
-        late = b.pull * max(1.0, abs(_position(full, b))) / speed**2
-        allowed = _SAFETY * bound_at(b.t) * max(1.0, rates[b.joint] / speed, late)
+        of_time = b.pull * max(1.0, abs(_position(full, b))) / speed**2
+        allowed = _SAFETY * bound_at(b.t) * max(1.0, rates[b.joint] / speed, of_time)
         strengths.append((abs(a.impulse - b.impulse) / max(abs(b.impulse), 1e-300), allowed))
     checks = [
         ("impacts in other order", wrong, 0.0),

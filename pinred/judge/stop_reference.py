@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, combinations
+from typing import cast
 
 import numpy as np
 import pinocchio as pin
@@ -20,7 +21,7 @@ from ..common.arrays import Array
 from ..forces.switch_times import time_within
 from ..reduction.inertia_split import symmetric
 from ..scene.scene import Scene
-from ..scene.stop import Stop
+from ..scene.stop import BallBound, BallStop, Stop
 from ..simulation.control import Replay
 from ..simulation.trajectory import Trajectory
 from ..system.loops.kinematics import LoopKinematics
@@ -54,6 +55,7 @@ class StopRow:
         sign: 1 for a lower stop, −1 for an upper one.
         position: Position of the stop [rad | m].
         stop: The stops of the joint.
+        kind: "position", or the bounded angle of a ball: "angle", "swing" or "twist".
     """
 
     joint: str
@@ -62,7 +64,54 @@ class StopRow:
     v: int
     sign: float
     position: float
-    stop: Stop
+    stop: Stop | BallStop
+    kind: str = "position"
+
+    @property
+    def coordinates(self) -> slice:
+        """Indices of the coordinates of the joint in the full state."""
+        return slice(self.x, self.x + (1 if self.kind == "position" else 4))
+
+    def values(self, y: Array) -> Array:
+        """Return the bounded values at full states, (…)."""
+        if self.kind == "position":
+            return np.asarray(y[..., self.x])
+        quaternions = y[..., self.coordinates].reshape(-1, 4)
+        values = [self._angle(attitude_of(q)) for q in quaternions]
+        return np.array(values).reshape(y.shape[:-1])
+
+    def _angle(self, R: Array) -> float:
+        """Return the bounded angle of a ball at an attitude [rad]."""
+        if self.kind == "angle":
+            return float(np.linalg.norm(pin.log3(R)))
+        n = np.array(cast("BallStop", self.stop).axis)
+        tilt, cosine = np.cross(n, R @ n), n @ R @ n
+        sine = float(np.linalg.norm(tilt))
+        if self.kind == "swing":
+            return float(np.arctan2(sine, cosine))
+        swing = pin.exp3(tilt / max(sine, 1e-300) * np.arctan2(sine, cosine))
+        return float(n @ pin.log3(swing.T @ R))
+
+    def rates(self, y: Array) -> Array:
+        """Return the rate of the bounded value per rate of the joint, (1,) or (3,)."""
+        if self.kind == "position":
+            return np.ones(1)
+        R = attitude_of(y[self.coordinates])
+        if self.kind == "angle":
+            turn = pin.log3(R)
+            return np.asarray(turn / max(float(np.linalg.norm(turn)), 1e-300))
+        n = np.array(cast("BallStop", self.stop).axis)
+        parent = R.T @ n  # the axis of the parent in the child
+        if self.kind == "swing":
+            tilt = np.cross(parent, n)
+            return np.asarray(tilt / max(float(np.linalg.norm(tilt)), 1e-300))
+        return np.asarray((n + parent) / (1.0 + n @ parent))
+
+
+def attitude_of(quaternion: Array) -> Array:
+    """Return the rotation matrix of a quaternion (x, y, z, w) of any length."""
+    unit = quaternion / np.linalg.norm(quaternion)
+    return np.asarray(pin.Quaternion(unit).toRotationMatrix())
 
 
 @dataclass(frozen=True)
@@ -143,7 +192,7 @@ class StoppedFullState(FullState):
 
     def _rate(self, t: float, y: Array, axes: pin.Convention) -> Array:
         rate = super()._rate(t, y, axes)
-        normals = self._normals_at(t)
+        normals = self._normals_at(t, y)
         if not len(normals):
             return rate
         first = len(rate) - self._model.nv
@@ -153,10 +202,10 @@ class StoppedFullState(FullState):
         rate[first:] += response @ normals.T @ reaction
         return rate
 
-    def _normals_at(self, t: float) -> Array:
+    def _normals_at(self, t: float, y: Array) -> Array:
         """Return the rows of the velocities that are locked at a time, (K, nv)."""
         if self.at_rest is not None:
-            return self.normals(self.at_rest)
+            return self.normals(self.at_rest, y)
         locked = list(self._rest_of(t))
         normals = np.zeros((len(locked), self._model.nv))
         normals[np.arange(len(locked)), self._leads[locked]] = 1.0
@@ -191,11 +240,12 @@ class StoppedFullState(FullState):
             self._forces.set_span(self._parameters, time_within(t, stop))
         return min(stop, end)
 
-    def normals(self, rows: Rows) -> Array:
+    def normals(self, rows: Rows, y: Array) -> Array:
         """Return the directions away from stops, as rows of the velocities, (K, nv)."""
         normals = np.zeros((len(rows), self._model.nv))
-        for k, row in enumerate(rows):
-            normals[k, self.rows[row].v] = self.rows[row].sign
+        for k, row in enumerate(self.rows[row] for row in rows):
+            rates = row.rates(y)
+            normals[k, row.v : row.v + len(rates)] = row.sign * rates
         return normals
 
     def mass_matrix(self, q: Array) -> Array:
@@ -221,7 +271,7 @@ class StoppedFullState(FullState):
             free = self.rate(t, y)[len(y) - self._model.nv :]
         finally:
             self.at_rest = None
-        normals, response = self.normals(rows), self.response(self.q(y))
+        normals, response = self.normals(rows, y), self.response(self.q(y))
         return np.asarray(np.linalg.solve(normals @ response @ normals.T, -normals @ free))
 
     def resting(self, locked: Sequence[int], y: Array) -> Rows:
@@ -239,9 +289,8 @@ class StoppedFullState(FullState):
 
     def gaps(self, y: Array) -> Array:
         """Return the gaps of all stops at full states, (…, R)."""
-        columns = [row.x for row in self.rows]
-        signs = np.array([row.sign for row in self.rows])
-        return np.asarray(signs * (y[..., columns] - [row.position for row in self.rows]))
+        gaps = [row.sign * (row.values(y) - row.position) for row in self.rows]
+        return np.stack(gaps, axis=-1)
 
     def solve_with_stops(self, y0: Array, times: Array, rtol: float, atol: float) -> HybridSolution:
         """Integrate from impact to impact.
@@ -277,7 +326,7 @@ class StoppedFullState(FullState):
         perturbed = self.perturb(y0, self._scene.end, PERTURBATION)
         for row, gap, before in zip(self.rows, self.gaps(perturbed), self.gaps(y0), strict=True):
             if gap < 0.0 or before <= PERTURBATION:
-                perturbed[row.x] = y0[row.x]
+                perturbed[row.coordinates] = y0[row.coordinates]
         perturbed = self._apply_couplings(perturbed)
         other = self.solve_with_stops(perturbed, times, rtol, atol)
         distance = self.distance(solution.motion, other.motion).relative(self.size(solution.motion))
@@ -429,7 +478,7 @@ class _HybridRun:
         self._recent.clear()
         rates = full.rate(t, y)[first:]
         v, rows = y[first:].copy(), [full.rows[k] for k in S]
-        normals, response = full.normals(S), full.response(full.q(y))
+        normals, response = full.normals(S, y), full.response(full.q(y))
         G, u = normals @ response @ normals.T, normals @ v
         u[[k in rest for k in S]] = 0.0
         for k in touching:  # the depth that the joint would reach without its stop
@@ -443,7 +492,9 @@ class _HybridRun:
         chosen = [
             k
             for k, row in enumerate(rows)
-            if rebound[k] <= max(row.stop.rest_rate, _SLOW) and S[k] not in released
+            if rebound[k] <= max(row.stop.rest_rate, _SLOW)
+            and S[k] not in released
+            and row.kind == "position"
         ]
         slow = rebound <= [row.stop.rest_rate for row in rows]
         # Round-off of the position sustains rebounds of this height; a stop at zero has none.
@@ -477,7 +528,8 @@ class _HybridRun:
                 pull = float(abs(normals[k] @ rates))
                 self.hits.append(Hit(t, row.joint, row.side, strength, float(-u[k]), pull))
         for row in rows:
-            y[row.x] = row.position
+            if row.kind == "position":
+                y[row.x] = row.position
         return y, tuple(row for row, stay in zip(held, stays, strict=True) if stay)
 
 
@@ -486,9 +538,15 @@ def _rows_of(scene: Scene, size: int, r: int) -> list[StopRow]:
     joints = {joint.name: joint for joint in scene.system.tree.joints}
     rows = []
     for bound in scene.bounds:
-        joint, sign = joints[bound.joint], bound.sign * (1.0 if bound.ratio > 0.0 else -1.0)
-        position = bound.stop.lower if sign > 0.0 else bound.stop.upper
+        joint = joints[bound.joint]
         at = size + joint.x.start, r + joint.v.start
+        if isinstance(bound, BallBound):
+            own = bound.joint, bound.side, *at, bound.sign, bound.position, bound.stop, bound.kind
+            rows.append(StopRow(*own))
+            continue
+        assert isinstance(bound.stop, Stop)
+        sign = bound.sign * (1.0 if bound.ratio > 0.0 else -1.0)
+        position = bound.stop.lower if sign > 0.0 else bound.stop.upper
         rows.append(StopRow(joint.name, bound.side, *at, sign, position, bound.stop))
     return rows
 

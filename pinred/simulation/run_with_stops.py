@@ -12,9 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
-from itertools import pairwise
-from math import comb
+from functools import cached_property, partial
 
 import numpy as np
 import pinocchio as pin
@@ -31,7 +29,7 @@ from ..reduction.inertia_split import symmetric
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..scene.option_checks import list_forces
 from ..scene.scene import Scene
-from ..scene.stop import Bound
+from ..scene.stop import BallBound, Bound
 from ..system.coordinates import Indices
 from ..system.loops.looped_system import loop_jacobian
 from ..system.state_fields import ShapeState, State
@@ -44,6 +42,7 @@ from .impacts import Impact, ImpactTable, impulses, solve_complementarity, table
 from .integrate_plan import Again, trajectory_of_motion
 from .motion import Motion
 from .plan import Plan, plan_of
+from .polynomial_roots import bernstein, first_root
 from .reduced_flow import Integrate, ReducedFlow, Segment
 from .sample import Sample
 from .singular_loops import refuse_singular_loops
@@ -56,8 +55,6 @@ _CLINGING = 1e-14  # Pull of a stop that counts as round-off, per kinetic energy
 _AT_REST = 1e-13  # Rate at a stop that counts as zero, relative to the largest rate.
 _SLOW = 1e-3  # Rebound above which round-off of a position cannot sustain it [rad/s | m/s].
 _DEPENDENT = 1e-9  # Eigenvalue of scaled metrics below which motions of joints are dependent.
-_NEWTON = 0.6  # Largest part of a step in which a single root is polished.
-_MOST_NEWTON, _SAME = 100, 1e-16  # Steps for a root, and the change at which it is found.
 _MOST_AT_ONCE = 100  # Largest number of successive impacts without time between them.
 MOST_IMPACTS = 100_000  # Largest number of impacts of one run.
 
@@ -263,96 +260,20 @@ class _StopSearch(RootSearch):
     def values(self, segment: Segment, t: Array) -> Array:
         """Return the gaps of prescribed joints and the reactions of resting ones, (E, T)."""
         samples = self._flow.samples(t, segment.at(t), segment.parameters)
-        x = samples.x[:, [self._mode.moving[k].x for k in self._driven]].T
-        gaps = self._sides[self._driven, None] * x + self._offsets[self._driven, None]
+        x = np.array([self._mode.moving[k].values(samples.x) for k in self._driven])
+        gaps = self._sides[self._driven, None] * x.reshape(-1, len(t))
+        gaps += self._offsets[self._driven, None]
         if not self._mode.rest:
             return np.asarray(gaps)
         reactions = reactions_of(self._plan, self._mode.rest, t, samples, self._numbers)
         return np.asarray(np.vstack([gaps, reactions.T + self._cling]))
 
 
-@cache
-def bernstein(degree: int) -> tuple[Array, Array]:
-    """Return nodes in [0, 1] and the matrix from values there to Bernstein coefficients.
-
-    Args:
-        degree: Degree of the polynomials.
-    Returns:
-        Nodes, (degree + 1,), and the matrix, (degree + 1, degree + 1).
-    """
-    nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)
-    basis = [comb(degree, k) * nodes**k * (1.0 - nodes) ** (degree - k) for k in range(degree + 1)]
-    return nodes, np.asarray(np.linalg.inv(np.array(basis).T))
-
-
-def first_root(coefficients: Array) -> float | None:
-    """Return the first point of [0, 1] where a polynomial falls to zero, or None.
-
-    The polynomial is divided by de Casteljau's algorithm until one part has a single change of
-    sign. Bernstein coefficients of one sign exclude a root.
-
-    Args:
-        coefficients: Bernstein coefficients, (degree + 1,); the first one is positive.
-    Returns:
-        The root, or None.
-    """
-    parts = [(0.0, 1.0, coefficients)]
-    while parts:
-        a, b, c = parts.pop()
-        if (c > 0.0).all():
-            continue
-        middle = 0.5 * (a + b)
-        if not a < middle < b:
-            return a
-        changes = np.count_nonzero(np.diff(np.signbit(c)))
-        if changes == 1 and c[0] > 0.0 and c[-1] < 0.0 and b - a < _NEWTON:
-            return a + (b - a) * _polish(c)
-        left, right = _halves(c)
-        parts += [(middle, b, right), (a, middle, left)]
-    return None
-
-
-def _halves(c: Array) -> tuple[Array, Array]:
-    """Return the Bernstein coefficients of a polynomial on both halves of its interval."""
-    rows = [c]
-    while len(rows[-1]) > 1:
-        rows.append(0.5 * (rows[-1][:-1] + rows[-1][1:]))
-    return np.array([row[0] for row in rows]), np.array([row[-1] for row in rows[::-1]])
-
-
-def _polish(c: Array) -> float:
-    """Return the only root of a polynomial in [0, 1] by Newton's method with bisection.
-
-    Args:
-        c: Bernstein coefficients; the first one is positive, the last one negative.
-    """
-    degree = len(c) - 1
-    values, slopes = c.tolist(), (degree * np.diff(c)).tolist()
-    low, high, s = 0.0, 1.0, float(c[0] / (c[0] - c[-1]))
-    for _ in range(_MOST_NEWTON):
-        value = _at(values, s)
-        low, high = (s, high) if value > 0.0 else (low, s)
-        slope = _at(slopes, s)
-        new = s - value / slope if slope < 0.0 else low
-        if not low < new < high:
-            new = 0.5 * (low + high)
-        if abs(new - s) <= _SAME:
-            return new
-        s = new
-    return s
-
-
-def _at(coefficients: list[float], s: float) -> float:
-    """Evaluate a polynomial at s from its Bernstein coefficients."""
-    row, r = coefficients, 1.0 - s
-    while len(row) > 1:
-        row = [r * a + s * b for a, b in pairwise(row)]
-    return row[0]
-
-
 def margin_of(bound: Bound) -> float:
     """Return the gap that counts as contact [rad | m]."""
-    return max(_ROUND_OFF * abs(bound.position), _LEAST_GAP)
+    # The angles of a ball are functions of a quaternion of length one.
+    size = max(4.0, abs(bound.position)) if isinstance(bound, BallBound) else abs(bound.position)
+    return max(_ROUND_OFF * size, _LEAST_GAP)
 
 
 def reactions_of(plan: Plan, rest: Rest, t: Array, samples: Sample, numbers: Array) -> Array:
@@ -536,7 +457,7 @@ class _Run:
         released = tuple(bound for bound in mode.rest if bound in together)
         touching = []
         for bound in mode.moving:
-            u, gap = bound.sign * xdot[bound.v], self._gap(bound, x)
+            u, gap = bound.normal(x, len(xdot)) @ xdot, self._gap(bound, x)
             if bound in together or gap <= 0.0 or (u < 0.0 and gap <= -u * within):
                 touching.append(bound)
         self._refuse_driven(touching, state.t)
@@ -558,21 +479,20 @@ class _Run:
         among = {*rest, *touching}
         bounds = tuple(bound for bound in self.bounds if bound in among)
         for bound in bounds:
-            x[bound.x] = bound.position
-        v, sign = [b.v for b in bounds], np.array([b.sign for b in bounds])
-        rows = [self._rates.index(k) for k in v]
-        inverse = self._inverse_metric(x, rows)
-        G = sign[:, None] * inverse[rows] * sign
+            bound.place(x)
+        normals = np.array([b.normal(x, len(pi)) for b in bounds]).reshape(-1, len(pi))
+        inverse = self._inverse_metric(x, normals[:, self._rates])
+        G = normals[:, self._rates] @ inverse
         self._refuse_dependent(bounds, G, state.t)
         small = _AT_REST * float(np.abs(xdot).max(initial=0.0))
-        u = sign * xdot[v]
+        u = normals @ xdot
         u[[bound in rest for bound in bounds]] = 0.0
         may_rest = np.array([bound not in released for bound in bounds])
         contact = _Contact(bounds, np.where(np.abs(u) <= small, 0.0, u), 0.5 * (G + G.T), may_rest)
-        impulse, after, resting = self._outcome(state, contact, x, xdot, inverse, sign)
-        pi[v] += sign * impulse
+        impulse, after, resting = self._outcome(state, contact, x, xdot, inverse)
+        pi += impulse @ normals
         rates = xdot.copy()
-        rates[self._rates] += inverse @ (sign * impulse)
+        rates[self._rates] += inverse @ impulse
         if self.system.loops:
             pi = self._momenta_in_loops(state, x, rates)
         rests = tuple(b for b, stays in zip(bounds, resting, strict=True) if stays)
@@ -584,7 +504,7 @@ class _Run:
         return Phase(new, state.t, flow, impact)
 
     def _outcome(
-        self, state: _State, contact: _Contact, x: Array, xdot: Array, inverse: Array, sign: Array
+        self, state: _State, contact: _Contact, x: Array, xdot: Array, inverse: Array
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return the impulses, the rates after them, and the joints that rest, (K,) each.
 
@@ -592,6 +512,9 @@ class _Run:
         other joints, so the decision is repeated without those that leave. At a contact, the joint
         is moved to its stop, which is a lift by round-off that can sustain a very slow rebound.
         Such a rebound becomes rest, too.
+
+        Raises:
+            IntegrationError: A ball comes to rest at its stop.
         """
         bounds, u, G = contact.bounds, contact.u, contact.G
         e = np.array([bound.stop.restitution for bound in bounds])
@@ -603,6 +526,14 @@ class _Run:
         usual = impulses(G, u, e)
         rebound = np.where(usual > 0.0, -e * u, u + G @ usual)
         slow = contact.may_rest & (rebound <= np.maximum(slowest, _SLOW))
+        for k in (k for k, bound in enumerate(bounds) if isinstance(bound, BallBound)):
+            slow[k] = False
+            if usual[k] > 0.0 and rebound[k] <= slowest[k]:
+                raise IntegrationError(
+                    f"stops: ball joint '{bounds[k].joint}' of '{self.system.name}' comes to rest "
+                    f"at its {bounds[k].side} stop at t = {state.t:g} s, which is not simulated. "
+                    "End the motion earlier, or load the ball as three hinges"
+                )
         while True:
             chosen, impulse, after = np.flatnonzero(slow), usual.copy(), rebound.copy()
             block = G[np.ix_(chosen, chosen)]
@@ -615,7 +546,7 @@ class _Run:
             height = np.full(len(bounds), np.inf)
             if chosen.size:
                 rates = xdot.copy()
-                rates[self._rates] += inverse @ (sign * impulse)
+                rates[self._rates] += inverse @ impulse
                 rest = tuple(bounds[k] for k in chosen)
                 resting[chosen], back = self._stays(state, rest, block, x, rates)
                 height[chosen] = rebound[chosen] ** 2 / (2.0 * np.maximum(back, 1e-300))
@@ -709,19 +640,24 @@ class _Run:
                 f"t = {t:g} s. Increase rest_rate, or simulate a shorter time"
             )
 
-    def _inverse_metric(self, x: Array, columns: Sequence[int]) -> Array:
-        """Return columns of the inverse reduced metric of the rates that impacts change.
+    def _inverse_metric(self, x: Array, normals: Array) -> Array:
+        """Return the inverse reduced metric of the rates that impacts change, times normals.
 
         It is the block of the inverse mass matrix that belongs to these rates. The multipliers of
         closed loops keep the rates in them compatible.
+
+        Args:
+            x: Shape, (nx,).
+            normals: Rates of gaps per rate, (K, f).
+        Returns:
+            (f, K).
         """
         system, r = self.system, self.system.r
         q = system.sorted_q(system.group.identity(), x)
         upper = pin.crba(system.sorted_model, system.sorted_data, q)
         kept = np.array([*range(r), *(r + k for k in self._rates)])
         H = system.coupled_matrix(symmetric(upper))[np.ix_(kept, kept)]
-        unit = np.zeros((len(kept), len(columns)))
-        unit[r + np.array(columns), np.arange(len(columns))] = 1.0
+        unit = np.vstack([np.zeros((r, len(normals))), normals.T])
         response = np.linalg.solve(H, unit)[r:]
         if system.closure is not None:
             J = loop_jacobian(system, x)[system.closure.rows][:, self._rates]
@@ -731,7 +667,7 @@ class _Run:
 
     @staticmethod
     def _gap(bound: Bound, x: Array) -> float:
-        return float(bound.sign * (x[bound.x] - bound.position)) - margin_of(bound)
+        return float(bound.sign * (bound.values(x) - bound.position)) - margin_of(bound)
 
 
 def _impact(t: float, contact: _Contact, impulse: Array, after: Array) -> Impact | None:

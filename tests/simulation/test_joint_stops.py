@@ -22,7 +22,7 @@ from pinred.forces import Torque
 from pinred.judge.verdict import Verdict
 from pinred.simulation import run_with_stops
 from pinred.simulation.impacts import impulses, solve_complementarity
-from pinred.simulation.run_with_stops import bernstein, first_root
+from pinred.simulation.polynomial_roots import bernstein, first_root
 
 
 def bouncing_slide() -> pinred.System:

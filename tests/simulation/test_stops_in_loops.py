@@ -182,12 +182,12 @@ def test_dependence_of_stops_is_decided_by_the_scaled_metric(
     """An eigenvalue of the metric with unit diagonal below 1e-9 counts as zero."""
     inverse = run_with_stops._Run._inverse_metric
 
-    def nearly_dependent(self: Any, x: Any, columns: Any) -> Any:
-        response = np.array(inverse(self, x, columns))
-        if len(columns) == 2:
-            size = np.array([3.0, 0.2])
-            response[columns] = (1.0 - least) * np.outer(size, size) + np.diag(least * size**2)
-        return response
+    def nearly_dependent(self: Any, x: Any, normals: Any) -> Any:
+        if len(normals) != 2:
+            return inverse(self, x, normals)
+        size = np.array([3.0, 0.2])
+        metric = (1.0 - least) * np.outer(size, size) + np.diag(least * size**2)
+        return normals.T @ metric
 
     monkeypatch.setattr(run_with_stops._Run, "_inverse_metric", nearly_dependent)
     system = load_five_bar()
