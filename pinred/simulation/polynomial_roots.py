@@ -1,4 +1,4 @@
-"""First roots of polynomials in Bernstein form, which exclude roots by the signs of coefficients."""
+"""First roots of polynomials in Bernstein form, whose coefficients can exclude roots."""
 
 from __future__ import annotations
 
