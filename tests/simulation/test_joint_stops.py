@@ -567,9 +567,9 @@ def test_accumulation_ends_where_round_off_would_sustain_it(
     heights = (e * traj.impacts.rate_before) ** 2 / (2.0 * acceleration)
     assert heights[-1] <= 2.0 * lift * e**2 / (1.0 - e**2)
     assert heights[-2] > 2.0 * lift * e**2 / (1.0 - e**2)
-    if position:
-        report = pinred.compare(traj, budget=10.0)
-        assert report.verdict is not Verdict.FAILED, report
+    if position == 0.3:
+        report = pinred.compare(traj, budget=5.0)
+        assert report.verdict is Verdict.PASSED, report
 
 
 def test_contact_is_found_within_round_off_of_the_position() -> None:
