@@ -109,6 +109,7 @@ from .planning.reorientation.turn_plan import TurnPlan as TurnPlan
 from .reduction.pointwise_reduction import ReducedShape as ReducedShape
 from .scene.event import Event as Event
 from .scene.scene import Scene as Scene
+from .scene.stop import BallStop as BallStop
 from .scene.stop import Stop as Stop
 from .scene.toml.documents import scene_schema as scene_schema
 from .scene.toml.reader import load_scene as load_scene

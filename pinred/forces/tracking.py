@@ -6,7 +6,7 @@ A hinge or slide follows a signal.  A ball follows an Attitude R_d(t), with the 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, TypeAlias
 
 import casadi as ca
@@ -222,6 +222,29 @@ class ComputedTorque(_Tracking):
             on_joints = s.loop_motion(joints).T @ torques
             torque = {k: on_joints[joints.index(k)] for k in errors}
         return Terms(torque=limited(self.limit, s, torque, number, self.name))
+
+
+@dataclass(frozen=True)
+class ComputedTorqueAtRest(ComputedTorque):
+    """The same torques while some joints rest at their stops, against which they press.
+
+    Attributes:
+        resting: Indices of the rates of these joints.
+    """
+
+    resting: frozenset[int] = frozenset()
+
+    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
+        """Return the torques, as if the joints at rest could follow their references.
+
+        Args:
+            s: Variables of the forces.
+            number: Function that replaces a number by a symbol.
+        Returns:
+            The terms of this force.
+        """
+        moving = {k: a for k, a in s.accelerations.items() if k not in self.resting}
+        return super().terms(replace(s, accelerations=moving), number)
 
 
 def _plan(value: Any, what: str) -> Any:

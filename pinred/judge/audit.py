@@ -67,7 +67,9 @@ def audit_trajectory(traj: Trajectory, states: State) -> Audit:
     if traj.plan.acting.momentum_changes:
         impulse = momentum_balance(traj.plan, traj.motion, states).impulse
     audit = audit_states(FullState(traj.scene), states, work, impulse)
-    drifts = axial_momentum_drifts(traj.system, traj.plan.acting.symmetric_balls, states)
+    stopped = {bound.v for bound in traj.scene.bounds}  # impulses change these momenta
+    balls = [b for b in traj.plan.acting.symmetric_balls if b.joint.v.start not in stopped]
+    drifts = axial_momentum_drifts(traj.system, balls, states)
     return replace(audit, momenta=np.column_stack([audit.momenta, *drifts]))
 
 

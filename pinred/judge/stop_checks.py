@@ -106,9 +106,11 @@ def check_stops(
     errors = [(abs(a.t - b.t), time_bound(b) + 1e-13 * traj.scene.end) for a, b in pairs]
     strengths = []
     for a, b in pairs:
-        # Impulses are proportional to the speed, whose error is that of the rates.
+        # Impulses are proportional to the speed. Its error is that of the rates, and that of the
+        # time of impact, times the acceleration.
         speed = b.speed if b.speed > 0.0 else np.inf
-        allowed = _SAFETY * bound_at(b.t) * max(1.0, rates[b.joint] / speed)
+        of_time = b.pull * max(1.0, abs(_position(full, b))) / speed**2
+        allowed = _SAFETY * bound_at(b.t) * max(1.0, rates[b.joint] / speed, of_time)
         strengths.append((abs(a.impulse - b.impulse) / max(abs(b.impulse), 1e-300), allowed))
     checks = [
         ("impacts in other order", wrong, 0.0),

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, combinations
+from typing import cast
 
 import numpy as np
 import pinocchio as pin
@@ -20,9 +21,12 @@ from ..common.arrays import Array
 from ..forces.switch_times import time_within
 from ..reduction.inertia_split import symmetric
 from ..scene.scene import Scene
-from ..scene.stop import Stop
+from ..scene.stop import BallBound, BallStop, Stop
+from ..simulation.control import Replay
 from ..simulation.trajectory import Trajectory
+from ..system.loops.kinematics import LoopKinematics
 from .distances import FullMotion
+from .loop_errors import RANK
 from .reference_solution import PERTURBATION, FullState
 from .time_budget import AbaStopped, TimeBudget
 
@@ -30,6 +34,10 @@ _LEAST_RTOL = 2.3e-14  # tightest relative tolerance of SciPy's DOP853
 _SAMPLES = 16  # number of times in a step at which gaps and reactions are evaluated
 _SHORTER = 0.5 ** np.arange(1, 41)  # parts of an interval in which a joint may leave and return
 _MOST_TRIED = 12  # largest number of stops for which all sets of impulses are tried
+_SLOW = 1e-3  # rebound above which round-off of a position cannot sustain it [rad/s | m/s]
+_LIFT = 4.0 * float(np.finfo(float).eps)  # of a joint by round-off at its stop, relative
+_AFFECTED = 10.0  # ratio of speeds that this lift changes to the speed that it sustains
+_CLINGING = 1e-14  # pull of a stop that counts as round-off, per kinetic energy [1/rad | 1/m]
 NEVER = 1e300  # growth of perturbations after they change the order of impacts
 
 Rows = tuple[int, ...]
@@ -47,6 +55,7 @@ class StopRow:
         sign: 1 for a lower stop, −1 for an upper one.
         position: Position of the stop [rad | m].
         stop: The stops of the joint.
+        kind: "position", or the bounded angle of a ball: "angle", "swing" or "twist".
     """
 
     joint: str
@@ -55,7 +64,54 @@ class StopRow:
     v: int
     sign: float
     position: float
-    stop: Stop
+    stop: Stop | BallStop
+    kind: str = "position"
+
+    @property
+    def coordinates(self) -> slice:
+        """Indices of the coordinates of the joint in the full state."""
+        return slice(self.x, self.x + (1 if self.kind == "position" else 4))
+
+    def values(self, y: Array) -> Array:
+        """Return the bounded values at full states, (…)."""
+        if self.kind == "position":
+            return np.asarray(y[..., self.x])
+        quaternions = y[..., self.coordinates].reshape(-1, 4)
+        values = [self._angle(attitude_of(q)) for q in quaternions]
+        return np.array(values).reshape(y.shape[:-1])
+
+    def _angle(self, R: Array) -> float:
+        """Return the bounded angle of a ball at an attitude [rad]."""
+        if self.kind == "angle":
+            return float(np.linalg.norm(pin.log3(R)))
+        n = np.array(cast("BallStop", self.stop).axis)
+        tilt, cosine = np.cross(n, R @ n), n @ R @ n
+        sine = float(np.linalg.norm(tilt))
+        if self.kind == "swing":
+            return float(np.arctan2(sine, cosine))
+        swing = pin.exp3(tilt / max(sine, 1e-300) * np.arctan2(sine, cosine))
+        return float(n @ pin.log3(swing.T @ R))
+
+    def rates(self, y: Array) -> Array:
+        """Return the rate of the bounded value per rate of the joint, (1,) or (3,)."""
+        if self.kind == "position":
+            return np.ones(1)
+        R = attitude_of(y[self.coordinates])
+        if self.kind == "angle":
+            turn = pin.log3(R)
+            return np.asarray(turn / max(float(np.linalg.norm(turn)), 1e-300))
+        n = np.array(cast("BallStop", self.stop).axis)
+        parent = R.T @ n  # the axis of the parent in the child
+        if self.kind == "swing":
+            tilt = np.cross(parent, n)
+            return np.asarray(tilt / max(float(np.linalg.norm(tilt)), 1e-300))
+        return np.asarray((n + parent) / (1.0 + n @ parent))
+
+
+def attitude_of(quaternion: Array) -> Array:
+    """Return the rotation matrix of a quaternion (x, y, z, w) of any length."""
+    unit = quaternion / np.linalg.norm(quaternion)
+    return np.asarray(pin.Quaternion(unit).toRotationMatrix())
 
 
 @dataclass(frozen=True)
@@ -68,6 +124,7 @@ class Hit:
         side: The stop, "lower" or "upper".
         impulse: Impulse on the joint [N·m·s | N·s].
         speed: Rate towards the stop before the impact [rad/s | m/s].
+        pull: Size of the acceleration before the impact [rad/s² | m/s²].
     """
 
     t: float
@@ -75,6 +132,7 @@ class Hit:
     side: str
     impulse: float
     speed: float
+    pull: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -101,6 +159,7 @@ class StoppedFullState(FullState):
     Attributes:
         rows: The stops.
         at_rest: Stops at which joints rest in an own integration; None for those of a trajectory.
+        lifted: Speed of impacts that round-off of positions changes [rad/s | m/s].
     """
 
     def __init__(
@@ -108,6 +167,7 @@ class StoppedFullState(FullState):
         scene: Scene,
         locked: Callable[[float], Sequence[int]],
         budget: TimeBudget | None = None,
+        replay: Replay | None = None,
     ) -> None:
         """Prepare the vector field.
 
@@ -115,20 +175,24 @@ class StoppedFullState(FullState):
             scene: The scene.
             locked: Function from a time to the indices of the shape rates that are locked then.
             budget: Time limit of all runs together.
+            replay: Recorded commands of controllers; None without controllers.
         """
-        super().__init__(replace(scene, stops=None), None, budget)
+        super().__init__(replace(scene, stops=None), replay, budget)
         self.rows = _rows_of(scene, self._size, self._r)
         self.at_rest: Rows | None = None
+        self.lifted = 0.0
         self._rest_of = locked
         driven = np.zeros((len(self._driven), self._model.nv))
         driven[np.arange(len(self._driven)), self._r + np.array(self._driven, dtype=np.intp)] = 1.0
         self._constraints = np.vstack([self.couplings.J, driven])
+        loops = scene.system.loops
+        self._loops = LoopKinematics(self._model, loops) if loops else None
         # Rows of the joints of the shape: a locked leader has the multiplier of its own row.
         self._leads = self._r + self.couplings.leads
 
     def _rate(self, t: float, y: Array, axes: pin.Convention) -> Array:
         rate = super()._rate(t, y, axes)
-        normals = self._normals_at(t)
+        normals = self._normals_at(t, y)
         if not len(normals):
             return rate
         first = len(rate) - self._model.nv
@@ -138,10 +202,10 @@ class StoppedFullState(FullState):
         rate[first:] += response @ normals.T @ reaction
         return rate
 
-    def _normals_at(self, t: float) -> Array:
+    def _normals_at(self, t: float, y: Array) -> Array:
         """Return the rows of the velocities that are locked at a time, (K, nv)."""
         if self.at_rest is not None:
-            return self.normals(self.at_rest)
+            return self.normals(self.at_rest, y)
         locked = list(self._rest_of(t))
         normals = np.zeros((len(locked), self._model.nv))
         normals[np.arange(len(locked)), self._leads[locked]] = 1.0
@@ -165,18 +229,23 @@ class StoppedFullState(FullState):
         finally:
             self.at_rest = None
 
-    def set_span(self, t: float, end: float) -> float:
+    def set_span(self, t: float, end: float, y: Array) -> float:
         """Set the parameters of forces after a time; return the time to which they apply [s]."""
         stop = next((float(stop) for stop in self._stops if stop > t), end)
+        if self._replay is not None:
+            parameters = self._parameters.copy()
+            stop = self._replay.begin(parameters, t, stop, partial(self.sample, y))
+            self.set_parameters(parameters)
         if self._switches.size and self._forces is not None:
             self._forces.set_span(self._parameters, time_within(t, stop))
         return min(stop, end)
 
-    def normals(self, rows: Rows) -> Array:
+    def normals(self, rows: Rows, y: Array) -> Array:
         """Return the directions away from stops, as rows of the velocities, (K, nv)."""
         normals = np.zeros((len(rows), self._model.nv))
-        for k, row in enumerate(rows):
-            normals[k, self.rows[row].v] = self.rows[row].sign
+        for k, row in enumerate(self.rows[row] for row in rows):
+            rates = row.rates(y)
+            normals[k, row.v : row.v + len(rates)] = row.sign * rates
         return normals
 
     def mass_matrix(self, q: Array) -> Array:
@@ -185,7 +254,12 @@ class StoppedFullState(FullState):
 
     def response(self, q: Array) -> Array:
         """Return the matrix from generalised impulses to changes of the velocity, (nv, nv)."""
-        inverse, C = np.linalg.inv(self.mass_matrix(q)), self._constraints
+        H, C = self.mass_matrix(q), self._constraints
+        if self._loops is not None:  # the equations of loops may be redundant
+            _, sizes, rows = np.linalg.svd(np.vstack([C, self._loops.jacobian(q)]))
+            free = rows[int((sizes > RANK * sizes[0]).sum()) :]
+            return np.asarray(free.T @ np.linalg.solve(free @ H @ free.T, free))
+        inverse = np.linalg.inv(H)
         if not len(C):
             return np.asarray(inverse)
         return np.asarray(inverse - inverse @ C.T @ np.linalg.solve(C @ inverse @ C.T, C @ inverse))
@@ -197,7 +271,7 @@ class StoppedFullState(FullState):
             free = self.rate(t, y)[len(y) - self._model.nv :]
         finally:
             self.at_rest = None
-        normals, response = self.normals(rows), self.response(self.q(y))
+        normals, response = self.normals(rows, y), self.response(self.q(y))
         return np.asarray(np.linalg.solve(normals @ response @ normals.T, -normals @ free))
 
     def resting(self, locked: Sequence[int], y: Array) -> Rows:
@@ -215,9 +289,8 @@ class StoppedFullState(FullState):
 
     def gaps(self, y: Array) -> Array:
         """Return the gaps of all stops at full states, (…, R)."""
-        columns = [row.x for row in self.rows]
-        signs = np.array([row.sign for row in self.rows])
-        return np.asarray(signs * (y[..., columns] - [row.position for row in self.rows]))
+        gaps = [row.sign * (row.values(y) - row.position) for row in self.rows]
+        return np.stack(gaps, axis=-1)
 
     def solve_with_stops(self, y0: Array, times: Array, rtol: float, atol: float) -> HybridSolution:
         """Integrate from impact to impact.
@@ -253,7 +326,7 @@ class StoppedFullState(FullState):
         perturbed = self.perturb(y0, self._scene.end, PERTURBATION)
         for row, gap, before in zip(self.rows, self.gaps(perturbed), self.gaps(y0), strict=True):
             if gap < 0.0 or before <= PERTURBATION:
-                perturbed[row.x] = y0[row.x]
+                perturbed[row.coordinates] = y0[row.coordinates]
         perturbed = self._apply_couplings(perturbed)
         other = self.solve_with_stops(perturbed, times, rtol, atol)
         distance = self.distance(solution.motion, other.motion).relative(self.size(solution.motion))
@@ -264,7 +337,7 @@ class StoppedFullState(FullState):
     @property
     def slowest(self) -> float:
         """Speed below which impacts of an accumulation are not compared [rad/s | m/s]."""
-        return 10.0 * max(row.stop.rest_rate for row in self.rows)
+        return max(self.lifted, *(10.0 * row.stop.rest_rate for row in self.rows))
 
 
 def full_state_of(traj: Trajectory, budget: TimeBudget | None = None) -> FullState:
@@ -280,7 +353,19 @@ def full_state_of(traj: Trajectory, budget: TimeBudget | None = None) -> FullSta
     def locked(t: float) -> tuple[int, ...]:
         return next(iter(traj.motion.locked(np.array([t]))))[0]
 
-    return StoppedFullState(traj.scene, locked, budget)
+    return StoppedFullState(traj.scene, locked, budget, _commands(traj))
+
+
+def _commands(traj: Trajectory) -> Replay | None:
+    """Return the commands of the controllers of a trajectory, which change between impacts."""
+    forces, motion = traj.scene.force_model, traj.motion
+    if forces is None or not forces.held:
+        return None
+    ends = motion.segments.ends
+    numbers = motion.numbers(ends)
+    changes = np.any(np.diff(numbers, axis=0) != 0.0, axis=1)
+    last = np.flatnonzero(np.append(changes, True))
+    return Replay(ends[last], [numbers[k] for k in last])
 
 
 class _HybridRun:
@@ -300,9 +385,10 @@ class _HybridRun:
         self.states = np.tile(y, (len(self.times), 1))
         rest: Rows = ()
         touching = tuple(np.flatnonzero(full.gaps(y) <= 1e-12).tolist())
-        full.set_span(0.0, self.end)
+        full.set_span(0.0, self.end, y)
         if touching:
             y, rest = self._impact(0.0, y, (), touching, ())
+            self.states[self.times == 0.0] = y
         while t < self.end:
             t, y, functions = self._piece(t, y, rest)
             if functions:
@@ -331,12 +417,16 @@ class _HybridRun:
         from scipy.integrate import DOP853
         from scipy.optimize import brentq
 
-        full, reach = self.full, self.full.set_span(t, self.end)
+        full, reach = self.full, self.full.set_span(t, self.end, y)
         solver = DOP853(
             lambda s, z: full.limited_rate(s, z, rest), t, y, reach, rtol=self.rtol, atol=self.atol
         )
         before = self._functions(t, y, rest)
-        was = np.where(np.abs(before) <= 1e-12 * (1.0 + np.abs(before).max()), 1.0, before)
+        small = 1e-12 * (1.0 + np.abs(before).max())
+        pulls = np.flatnonzero(before[len(full.rows) :] < -small) + len(full.rows)
+        if pulls.size:  # a force that jumps at this time pulls joints away from their stops
+            return t, y, pulls.tolist()
+        was = np.where(np.abs(before) <= small, 1.0, before)
         while True:
             message = solver.step()
             if solver.status == "failed":
@@ -387,8 +477,8 @@ class _HybridRun:
         first, S = len(y) - full.nv, tuple(sorted({*rest, *touching}))
         self._recent.clear()
         rates = full.rate(t, y)[first:]
-        v, rows = y[first:], [full.rows[k] for k in S]
-        normals, response = full.normals(S), full.response(full.q(y))
+        v, rows = y[first:].copy(), [full.rows[k] for k in S]
+        normals, response = full.normals(S, y), full.response(full.q(y))
         G, u = normals @ response @ normals.T, normals @ v
         u[[k in rest for k in S]] = 0.0
         for k in touching:  # the depth that the joint would reach without its stop
@@ -402,8 +492,16 @@ class _HybridRun:
         chosen = [
             k
             for k, row in enumerate(rows)
-            if rebound[k] <= row.stop.rest_rate and S[k] not in released
+            if rebound[k] <= max(row.stop.rest_rate, _SLOW)
+            and S[k] not in released
+            and row.kind == "position"
         ]
+        slow = rebound <= [row.stop.rest_rate for row in rows]
+        # Round-off of the position sustains rebounds of this height; a stop at zero has none.
+        least = np.array([2.0 * _LIFT * abs(row.position) for row in rows])
+        least *= np.where(e < 1.0, e**2 / np.maximum(1.0 - e**2, _LIFT), 0.0)
+        usual_least = [scene.atol + scene.rtol * max(1.0, abs(row.position)) for row in rows]
+        height = np.where(slow, np.maximum(least, usual_least), least)
         while True:
             impulse, block = usual.copy(), G[np.ix_(chosen, chosen)]
             impulse[chosen] -= np.linalg.solve(block, rebound[chosen])
@@ -411,27 +509,27 @@ class _HybridRun:
             held = tuple(S[k] for k in chosen)
             locked = full.reactions(t, y, held) if held else np.empty(0)
             stays = complementary(block, -block @ locked) > 0.0
-            stays |= (locked >= -1e-12 * energy).all()
+            stays |= (locked >= -_CLINGING * energy).all()
             back = locked / np.diag(np.linalg.inv(block)) if held else locked
             leaves = [
                 k
                 for k, stay, a in zip(chosen, stays, back, strict=True)
-                if rebound[k] > 0.0
-                and not (
-                    stay
-                    and rebound[k] ** 2 / (2.0 * a)
-                    <= scene.atol + scene.rtol * max(1.0, abs(rows[k].position))
-                )
+                if rebound[k] > 0.0 and not (stay and rebound[k] ** 2 / (2.0 * a) <= height[k])
             ]
             if not leaves:
+                fast = [abs(u[k]) for k in chosen if rebound[k] > 0.0 and not slow[k]]
+                self.full.lifted = max([self.full.lifted, *(_AFFECTED * speed for speed in fast)])
                 break
+            leaves = [k for k in leaves if not slow[k]] or leaves
             chosen = [k for k in chosen if k not in leaves]
         for k, row in enumerate(rows):
             if impulse[k]:
                 strength = row.sign * float(impulse[k])
-                self.hits.append(Hit(t, row.joint, row.side, strength, float(-u[k])))
+                pull = float(abs(normals[k] @ rates))
+                self.hits.append(Hit(t, row.joint, row.side, strength, float(-u[k]), pull))
         for row in rows:
-            y[row.x] = row.position
+            if row.kind == "position":
+                y[row.x] = row.position
         return y, tuple(row for row, stay in zip(held, stays, strict=True) if stay)
 
 
@@ -440,9 +538,15 @@ def _rows_of(scene: Scene, size: int, r: int) -> list[StopRow]:
     joints = {joint.name: joint for joint in scene.system.tree.joints}
     rows = []
     for bound in scene.bounds:
-        joint, sign = joints[bound.joint], bound.sign * (1.0 if bound.ratio > 0.0 else -1.0)
-        position = bound.stop.lower if sign > 0.0 else bound.stop.upper
+        joint = joints[bound.joint]
         at = size + joint.x.start, r + joint.v.start
+        if isinstance(bound, BallBound):
+            own = bound.joint, bound.side, *at, bound.sign, bound.position, bound.stop, bound.kind
+            rows.append(StopRow(*own))
+            continue
+        assert isinstance(bound.stop, Stop)
+        sign = bound.sign * (1.0 if bound.ratio > 0.0 else -1.0)
+        position = bound.stop.lower if sign > 0.0 else bound.stop.upper
         rows.append(StopRow(joint.name, bound.side, *at, sign, position, bound.stop))
     return rows
 

@@ -34,7 +34,7 @@ from ..system.system import System
 from .event import EVENT_TABLE, Event
 from .initial_state import DURATION
 from .input_formats import EVEN_TIMES
-from .stop import STOPS, Stop
+from .stop import STOPS, BallStop, Stop
 from .toml.file_place import Place
 from .toml.force_kinds import FORCE
 from .toml.parameter_tables import NamedNumbers
@@ -156,7 +156,7 @@ class SceneOptions(TypedDict, total=False):
     controls: Mapping[str, Control] | Controller
     passive: bool
     friction: float | None
-    stops: Mapping[str, Stop | Sequence[float]] | str | None
+    stops: Mapping[str, Stop | BallStop | Sequence[float]] | str | None
     parameters: Any
     events: Sequence[Event] | Event
     outputs: WantedOutputs
@@ -275,12 +275,13 @@ class SceneFields:
         "let the dry friction of the robot's file act as −most·tanh(rate/WIDTH), with this "
         "width [rad/s | m/s]", default="no friction", command="--friction WIDTH",
     ))  # fmt: skip
-    stops: Mapping[str, Stop | Sequence[float]] | str | None = field(
+    stops: Mapping[str, Stop | BallStop | Sequence[float]] | str | None = field(
         default=None, metadata=_option(
             STOPS,
-            "stops of hinges and slides [rad | m]: file for the position limits of the robot's "
+            "stops of joints [rad | m]: file for the limits of hinges and slides in the robot's "
             "file; or lower and upper stop by joint, perhaps with a restitution from 0 to 1",
-            formats="'file', or {joint: (lower, upper), (lower, upper, restitution) or Stop}",
+            formats="'file', or {joint: (lower, upper), (lower, upper, restitution), Stop or "
+            "BallStop}",
             command="--stops file or J=LOWER,UPPER,E",
         ),
     )  # fmt: skip

@@ -31,6 +31,10 @@ STOP_TABLE = Table(
         "rest_rate": Key(
             POSITIVE, "rebound below which a joint rests [rad/s | m/s]", default="1e-06"
         ),
+        "angle": Key(POSITIVE, "largest angle of a ball [rad]", default="none"),
+        "swing": Key(POSITIVE, "largest tilt of the axis of a ball [rad]", default="none"),
+        "twist": Key(ListOf(NUMBER, 2), "lower and upper twist of a ball [rad]", default="none"),
+        "axis": Key(ListOf(NUMBER, 3), "axis of swing and twist of a ball", default="[0, 0, 1]"),
     },
     "a stop",
 )  # fmt: skip
@@ -87,6 +91,62 @@ class Stop:
             )
 
 
+@checks_arguments
+@dataclass(frozen=True)
+class BallStop:
+    """The stops of a ball joint: bounds of its angle, its swing and its twist.
+
+    The attitude R of the child in the parent is a twist about `axis`, followed by a swing that
+    tilts this axis by the shortest way. A ball bounces at its stops. It cannot rest at one, because
+    this is no locked joint: a simulation ends with an error where the rebounds become slower than
+    `rest_rate`.
+
+    Attributes:
+        angle: Largest angle of the whole rotation, below π [rad]; inf for none.
+        swing: Largest angle between the axis in the child and in the parent, below π [rad]; inf
+            for none.
+        twist: Smallest and largest angle about the axis, within ±π [rad]; infinite for none.
+        axis: Axis of swing and twist, in both bodies, (3,), of any length.
+        restitution: Ratio of the rates after and before an impact, above 0 and up to 1.
+        rest_rate: Rate of a rebound below which the simulation ends [rad/s].
+    """
+
+    angle: float = math.inf
+    swing: float = math.inf
+    twist: tuple[float, float] = (-math.inf, math.inf)
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    restitution: float = 1.0
+    rest_rate: float = 1e-6
+
+    def __post_init__(self) -> None:
+        twist, axis = (tuple(map(float, values)) for values in (self.twist, self.axis))
+        length = math.hypot(*axis)
+        if len(axis) != 3 or not 0.0 < length < math.inf:
+            raise InputError(f"axis: expected three numbers that are not all 0, got {brief(axis)}")
+        for name in ("angle", "swing"):
+            if not (0.0 < getattr(self, name) < math.pi or getattr(self, name) == math.inf):
+                raise InputError(
+                    f"{name}: expected an angle between 0 and π, got {getattr(self, name):g}. Omit "
+                    "it for none"
+                )
+        inside = len(twist) == 2 and -math.pi < twist[0] < twist[1] < math.pi
+        if not inside and twist != (-math.inf, math.inf):
+            raise InputError(
+                f"twist: expected (lower, upper) within ±π, got {brief(twist)}. Omit it for none"
+            )
+        if math.isinf(self.angle) and math.isinf(self.swing) and all(map(math.isinf, twist)):
+            raise InputError("expected a finite angle, swing or twist, got none. Omit the joint")
+        if not 0.0 < self.restitution <= 1.0:
+            raise InputError(
+                f"restitution: expected a number above 0, up to 1, got {self.restitution:g}. Balls "
+                "do not rest at their stops; load the ball as three hinges for that"
+            )
+        if not (0.0 < self.rest_rate < math.inf):
+            raise InputError(f"rest_rate: expected a positive rate, got {self.rest_rate:g}")
+        object.__setattr__(self, "twist", twist)
+        object.__setattr__(self, "axis", tuple(a / length for a in axis))
+
+
 @dataclass(frozen=True)
 class Bound:
     """One side of the stops of an independent joint, s (x − position) ≥ 0.
@@ -108,15 +168,105 @@ class Bound:
     sign: float
     position: float
     ratio: float
-    stop: Stop
+    stop: Stop | BallStop
 
     @property
     def side(self) -> str:
         """Side of the joint that has the stop, "lower" or "upper"."""
         return "lower" if self.sign * self.ratio > 0.0 else "upper"
 
+    def values(self, x: Array) -> Array:
+        """Return the bounded values, (…), at shapes x (…, nx) [rad | m]."""
+        return np.asarray(x[..., self.x])
 
-def parse_stops(value: Any, system: System) -> dict[str, Stop]:
+    def normal(self, x: Array, m: int) -> Array:  # noqa: ARG002
+        """Return the rates of the gap per rate of the shape, (m,), at shape x (nx,)."""
+        row = np.zeros(m)
+        row[self.v] = self.sign
+        return row
+
+    def place(self, x: Array) -> None:
+        """Move the joint to its stop, in a shape x (nx,) that is at it up to round-off."""
+        x[self.x] = self.position
+
+
+@dataclass(frozen=True)
+class BallBound(Bound):
+    """One bound of a ball joint; `x` and `v` are its first coordinate and rate.
+
+    Attributes:
+        kind: "angle", "swing" or "twist".
+    """
+
+    kind: str = "angle"
+
+    @property
+    def side(self) -> str:
+        """Name of the bound: "angle", "swing", "lower" or "upper"."""
+        return self.kind if self.kind != "twist" else super().side
+
+    def values(self, x: Array) -> Array:
+        """Return the bounded angles, (…), at shapes x (…, nx) [rad]."""
+        v, w = self._quaternion(x)
+        n = self._axis
+        along = v @ n
+        if self.kind == "angle":
+            return np.asarray(2.0 * np.arctan2(np.linalg.norm(v, axis=-1), np.abs(w)))
+        if self.kind == "swing":
+            across = np.linalg.norm(np.cross(v, n), axis=-1)
+            return np.asarray(2.0 * np.arctan2(across, np.hypot(along, w)))
+        sign = np.where(w < 0.0, -1.0, 1.0)
+        return np.asarray(2.0 * np.arctan2(sign * along, np.abs(w)))
+
+    def normal(self, x: Array, m: int) -> Array:
+        """Return the rates of the gap per rate of the shape, (m,), at shape x (nx,)."""
+        v, w = self._quaternion(x)
+        n = self._axis
+        along, across = float(v @ n), np.cross(v, n)
+        if self.kind == "angle":
+            rates = math.copysign(1.0, w) * v / max(float(np.linalg.norm(v)), 1e-300)
+        elif self.kind == "swing":
+            tilted = w * np.cross(n, across) + along * across
+            size = math.hypot(along, float(w)) * float(np.linalg.norm(across))
+            rates = tilted / max(size, 1e-300)
+        else:
+            rates = n + (along * (v - along * n) - w * across) / (along**2 + w**2)
+        row = np.zeros(m)
+        row[self.v : self.v + 3] = self.sign * rates
+        return row
+
+    def place(self, x: Array) -> None:
+        """Turn the ball to its stop, in a shape x (nx,) that is at it up to round-off."""
+        normal = self.normal(x, self.v + 3)[self.v :]
+        gap = self.sign * (float(self.values(x)) - self.position)
+        turn = -0.5 * gap * normal / (normal @ normal)
+        v, w = self._quaternion(x)
+        q = np.append(v + w * turn + np.cross(v, turn), w - v @ turn)
+        x[self.x : self.x + 4] = q / np.linalg.norm(q)
+
+    def _quaternion(self, x: Array) -> tuple[Array, Array]:
+        """Return the vectors (…, 3) and scalars (…) of the ball's quaternions."""
+        return x[..., self.x : self.x + 3], x[..., self.x + 3]
+
+    @property
+    def _axis(self) -> Array:
+        assert isinstance(self.stop, BallStop)
+        return np.array(self.stop.axis)
+
+
+def stop_of_table(entries: Mapping[str, Any]) -> Stop | BallStop:
+    """Return the stops that a table of a scene file describes."""
+    of_ball = {"angle", "swing", "twist", "axis"} & entries.keys()
+    mixed = {"lower", "upper"} & entries.keys()
+    if of_ball and mixed:
+        raise InputError(
+            f"expected {' and '.join(sorted(mixed))} of a hinge or slide, or "
+            f"{' and '.join(sorted(of_ball))} of a ball, got both"
+        )
+    return BallStop(**entries) if of_ball else Stop(**entries)
+
+
+def parse_stops(value: Any, system: System) -> dict[str, Stop | BallStop]:
     """Convert the option `stops`.
 
     Args:
@@ -136,13 +286,8 @@ def parse_stops(value: Any, system: System) -> dict[str, Stop]:
         raise InputError(
             f"stops: expected 'file', or {{joint: Stop or (lower, upper)}}, got {brief(value)}"
         )
-    if value and system.loops:
-        raise InputError(
-            f"stops: expected a robot without closed loops, got '{system.name}'. Open its loops "
-            "when it is loaded (loops=), or omit stops"
-        )
     joints = {joint.name: joint for joint in system.tree.joints}
-    stops = {}
+    stops: dict[str, Stop | BallStop] = {}
     for name, entry in value.items():
         if not isinstance(name, str) or name not in joints:
             hint = nearest(str(name), list(joints))
@@ -150,12 +295,11 @@ def parse_stops(value: Any, system: System) -> dict[str, Stop]:
                 f"stops: '{system.name}' has no joint {quoted(str(name))}; {hint}its joints are "
                 f"{listed(list(joints), 8)}"
             )
-        if joints[name].kind.is_ball:
-            raise InputError(
-                f"stops: expected hinges and slides, got ball joint {quoted(name)}. Load it as "
-                "three hinges, or omit its stop"
-            )
-        stops[name] = _stop_of(entry, name)
+        is_ball = joints[name].kind.is_ball
+        if is_ball != isinstance(entry, BallStop):
+            expected = "a BallStop for ball joint" if is_ball else "a Stop for joint"
+            raise InputError(f"stops: expected {expected} {quoted(name)}, got {brief(entry)}")
+        stops[name] = entry if isinstance(entry, BallStop) else _stop_of(entry, name)
     bounds_of(system, stops)
     return {name: stops[name] for name in joints if name in stops}
 
@@ -166,7 +310,7 @@ def is_number_of_stop(name: str, system: System) -> bool:
     return bool(dots) and joint in {each.name for each in system.tree.joints}
 
 
-def number_of_stop(stops: Mapping[str, Stop], name: str, what: str) -> float:
+def number_of_stop(stops: Mapping[str, Stop | BallStop], name: str, what: str) -> float:
     """Return the number of a stop that a name states.
 
     Args:
@@ -193,12 +337,14 @@ def number_of_stop(stops: Mapping[str, Stop], name: str, what: str) -> float:
     return float(getattr(stops[joint], field))
 
 
-def numbers_of_stop(stop: Stop) -> list[str]:
+def numbers_of_stop(stop: Stop | BallStop) -> list[str]:
     """Return the names of the numbers of a stop."""
     return [name for name, value in vars(stop).items() if isinstance(value, float)]
 
 
-def changed_stops(stops: Mapping[str, Stop], numbers: Mapping[str, float]) -> dict[str, Stop]:
+def changed_stops(
+    stops: Mapping[str, Stop | BallStop], numbers: Mapping[str, float]
+) -> dict[str, Stop | BallStop]:
     """Return stops with other numbers.
 
     Args:
@@ -217,7 +363,7 @@ def changed_stops(stops: Mapping[str, Stop], numbers: Mapping[str, float]) -> di
     changed = dict(stops)
     for joint, values in changes.items():
         try:
-            changed[joint] = replace(changed[joint], **values)
+            changed[joint] = replace(changed[joint], **values)  # type: ignore[arg-type]
         except InputError as error:
             raise InputError(f"stops['{joint}']: {error}") from None
     return changed
@@ -229,8 +375,8 @@ def _parts_of_name(name: str) -> tuple[str, str]:
     return joint, field
 
 
-def bounds_of(system: System, stops: Mapping[str, Stop]) -> tuple[Bound, ...]:
-    """Return the bounds that stops put on independent joints, at most two for each.
+def bounds_of(system: System, stops: Mapping[str, Stop | BallStop]) -> tuple[Bound, ...]:
+    """Return the bounds that stops put on independent joints, at most two for each but balls.
 
     Args:
         system: The system.
@@ -242,7 +388,11 @@ def bounds_of(system: System, stops: Mapping[str, Stop]) -> tuple[Bound, ...]:
     """
     tightest: dict[tuple[int, float], Bound] = {}
     joints = {joint.name: joint for joint in system.tree.joints}
+    of_balls = list[Bound]()
     for name, stop in stops.items():
+        if isinstance(stop, BallStop):
+            of_balls += _bounds_of_ball(system, name, stop)
+            continue
         joint = joints[name]
         x, v, ratio, offset = _leader(system, name, joint.x.start, joint.v.start)
         for sign, position in ((1.0, stop.lower), (-1.0, stop.upper)):
@@ -260,10 +410,24 @@ def bounds_of(system: System, stops: Mapping[str, Stop]) -> tuple[Bound, ...]:
                 f"stops: the stops of '{bound.joint}' and '{above.joint}' leave no room, because "
                 "one joint follows the other. Change one of them"
             )
-    return tuple(tightest.values())
+    return (*tightest.values(), *of_balls)
 
 
-def stop_numbers(stops: Mapping[str, Stop]) -> dict[str, float]:
+def _bounds_of_ball(system: System, name: str, stop: BallStop) -> list[Bound]:
+    """Return the bounds of a ball."""
+    joint = next(joint for joint in system.space.joints if joint.name == name)
+    limits = [
+        ("angle", -1.0, stop.angle), ("swing", -1.0, stop.swing),
+        ("twist", 1.0, stop.twist[0]), ("twist", -1.0, stop.twist[1]),
+    ]  # fmt: skip
+    return [
+        BallBound(name, joint.x.start, joint.v.start, sign, limit, 1.0, stop, kind)
+        for kind, sign, limit in limits
+        if not math.isinf(limit)
+    ]
+
+
+def stop_numbers(stops: Mapping[str, Stop | BallStop]) -> dict[str, float]:
     """Return the numbers of stops by name: {"elbow.stop.upper": position, …}; finite ones only.
 
     Args:
@@ -272,6 +436,7 @@ def stop_numbers(stops: Mapping[str, Stop]) -> dict[str, float]:
     return {
         f"{joint}.stop.{kind}": getattr(stop, kind)
         for joint, stop in stops.items()
+        if isinstance(stop, Stop)
         for kind in ("lower", "upper", "restitution")
         if math.isfinite(getattr(stop, kind))
     }
@@ -288,14 +453,16 @@ def starts_beyond(bounds: tuple[Bound, ...], x: Array) -> dict[int, str]:
     """
     reasons: dict[int, str] = {}
     for bound in bounds:
-        beyond = bound.sign * (bound.position - x[:, bound.x])
+        beyond = bound.sign * (bound.position - bound.values(x))
         stop = bound.stop
+        limits = f"{bound.position:g} rad"
+        if isinstance(stop, Stop):
+            limits = f"lower {stop.lower:g}, upper {stop.upper:g}"
         for k in np.flatnonzero(beyond > _WITHIN * max(1.0, abs(bound.position))).tolist():
             reasons.setdefault(
                 k,
                 f"stops: the initial position of joint '{bound.joint}' is {beyond[k]:.3g} beyond "
-                f"its {bound.side} stop (lower {stop.lower:g}, upper {stop.upper:g}). Start within "
-                "the stops (x0=), or widen them",
+                f"its {bound.side} stop ({limits}). Start within the stops (x0=), or widen them",
             )
     return reasons
 

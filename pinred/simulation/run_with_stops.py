@@ -12,9 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
-from itertools import pairwise
-from math import comb
+from functools import cached_property, partial
 
 import numpy as np
 import pinocchio as pin
@@ -25,34 +23,39 @@ from ..common.errors import InputError, IntegrationError
 from ..common.names import listed
 from ..common.parameter import Parameter
 from ..common.progress import Progress
-from ..forces.tracking import PD, ComputedTorque
+from ..forces.switch_times import time_within
+from ..forces.tracking import ComputedTorque, ComputedTorqueAtRest
 from ..integrators.methods import ErrorControl
 from ..reduction.inertia_split import symmetric
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..scene.input_formats import list_forces
 from ..scene.scene import Scene
-from ..scene.stop import Bound
+from ..scene.stop import BallBound, Bound
 from ..system.coordinates import Indices
+from ..system.loops.looped_system import loop_jacobian
 from ..system.state_fields import ShapeState, State
 from .balances import driving_torques
 from .compiled.compiled_flow import CompiledFlow
 from .compiled.integrator import integrator
+from .control import Control, ControlAction
 from .events import RootSearch, Watch, cut_at
 from .impacts import Impact, ImpactTable, impulses, solve_complementarity, table_of
 from .integrate_plan import Again, trajectory_of_motion
 from .motion import Motion
 from .plan import Plan, plan_of
+from .polynomial_roots import bernstein, first_root
 from .reduced_flow import Integrate, ReducedFlow, Segment
 from .sample import Sample
+from .singular_loops import refuse_singular_loops
 from .trajectory import Cost, Trajectory
 
 _CHUNK = 8  # Number of steps after which stops are first looked for.
 _ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # of a position, relative
 _LEAST_GAP = 1e-18  # Smallest margin of a gap, for stops at zero [rad | m].
-_CLINGING = 1e-12  # Pull of a stop that counts as round-off, per kinetic energy [1/rad | 1/m].
+_CLINGING = 1e-14  # Pull of a stop that counts as round-off, per kinetic energy [1/rad | 1/m].
 _AT_REST = 1e-13  # Rate at a stop that counts as zero, relative to the largest rate.
-_NEWTON = 0.6  # Largest part of a step in which a single root is polished.
-_MOST_NEWTON, _SAME = 100, 4e-16  # Steps for a root, and the change at which it is found.
+_SLOW = 1e-3  # Rebound above which round-off of a position cannot sustain it [rad/s | m/s].
+_DEPENDENT = 1e-9  # Eigenvalue of scaled metrics below which motions of joints are dependent.
 _MOST_AT_ONCE = 100  # Largest number of successive impacts without time between them.
 MOST_IMPACTS = 100_000  # Largest number of impacts of one run.
 
@@ -111,17 +114,23 @@ class StoppedMotion(Motion):
     without locked joints.
     """
 
-    def __init__(self, phases: Sequence[Phase], before: CompiledFlow, watch: Watch | None) -> None:
+    def __init__(
+        self,
+        phases: Sequence[Phase],
+        before: CompiledFlow,
+        watch: Watch | None,
+        actions: Sequence[ControlAction],
+    ) -> None:
         """Store a motion.
 
         Args:
             phases: The phases, in order of time.
             before: Flow from the initial state, before an impact at the start.
             watch: Detection of events.
+            actions: Calls of the controllers.
         """
-        super().__init__(
-            before, [segment for p in phases for segment in p.segments], varies=True, watch=watch
-        )
+        segments = [segment for phase in phases for segment in phase.segments]
+        super().__init__(before, segments, varies=True, actions=actions, watch=watch)
         self._phases, self._before = phases, before
         # Reduced states of all modes are filled up with zeros to one length.
         self._width = max(len(phase.flow.y0) for phase in phases)
@@ -257,95 +266,20 @@ class _StopSearch(RootSearch):
     def values(self, segment: Segment, t: Array) -> Array:
         """Return the gaps of prescribed joints and the reactions of resting ones, (E, T)."""
         samples = self._flow.samples(t, segment.at(t), segment.parameters)
-        x = samples.x[:, [self._mode.moving[k].x for k in self._driven]].T
-        gaps = self._sides[self._driven, None] * x + self._offsets[self._driven, None]
+        x = np.array([self._mode.moving[k].values(samples.x) for k in self._driven])
+        gaps = self._sides[self._driven, None] * x.reshape(-1, len(t))
+        gaps += self._offsets[self._driven, None]
         if not self._mode.rest:
             return np.asarray(gaps)
         reactions = reactions_of(self._plan, self._mode.rest, t, samples, self._numbers)
         return np.asarray(np.vstack([gaps, reactions.T + self._cling]))
 
 
-@cache
-def bernstein(degree: int) -> tuple[Array, Array]:
-    """Return nodes in [0, 1] and the matrix from values there to Bernstein coefficients.
-
-    Args:
-        degree: Degree of the polynomials.
-    Returns:
-        Nodes, (degree + 1,), and the matrix, (degree + 1, degree + 1).
-    """
-    nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)
-    basis = [comb(degree, k) * nodes**k * (1.0 - nodes) ** (degree - k) for k in range(degree + 1)]
-    return nodes, np.asarray(np.linalg.inv(np.array(basis).T))
-
-
-def first_root(coefficients: Array) -> float | None:
-    """Return the first point of [0, 1] where a polynomial falls to zero, or None.
-
-    The polynomial is divided by de Casteljau's algorithm until one part has a single change of
-    sign. Bernstein coefficients of one sign exclude a root.
-
-    Args:
-        coefficients: Bernstein coefficients, (degree + 1,); the first one is positive.
-    Returns:
-        The root, or None.
-    """
-    parts = [(0.0, 1.0, coefficients)]
-    while parts:
-        a, b, c = parts.pop()
-        if (c > 0.0).all():
-            continue
-        middle = 0.5 * (a + b)
-        if not a < middle < b:
-            return a
-        changes = np.count_nonzero(np.diff(np.signbit(c)))
-        if changes == 1 and c[0] > 0.0 and c[-1] < 0.0 and b - a < _NEWTON:
-            return a + (b - a) * _polish(c)
-        left, right = _halves(c)
-        parts += [(middle, b, right), (a, middle, left)]
-    return None
-
-
-def _halves(c: Array) -> tuple[Array, Array]:
-    """Return the Bernstein coefficients of a polynomial on both halves of its interval."""
-    rows = [c]
-    while len(rows[-1]) > 1:
-        rows.append(0.5 * (rows[-1][:-1] + rows[-1][1:]))
-    return np.array([row[0] for row in rows]), np.array([row[-1] for row in rows[::-1]])
-
-
-def _polish(c: Array) -> float:
-    """Return the only root of a polynomial in [0, 1] by Newton's method with bisection.
-
-    Args:
-        c: Bernstein coefficients; the first one is positive, the last one negative.
-    """
-    values, degree = c.tolist(), len(c) - 1
-    low, high, s = 0.0, 1.0, float(c[0] / (c[0] - c[-1]))
-    for _ in range(_MOST_NEWTON):
-        value, slope = _at(values, s, degree)
-        low, high = (s, high) if value > 0.0 else (low, s)
-        new = s - value / slope if slope < 0.0 else np.inf
-        if abs(new - s) <= _SAME:
-            return new
-        if not low < new < high:
-            new = 0.5 * (low + high)
-        s = new
-    return s
-
-
-def _at(coefficients: list[float], s: float, degree: int) -> tuple[float, float]:
-    """Evaluate a polynomial and its derivative at s from its Bernstein coefficients."""
-    row, r = coefficients, 1.0 - s
-    for _ in range(degree - 1):
-        row = [r * a + s * b for a, b in pairwise(row)]
-    first, last = row
-    return r * first + s * last, degree * (last - first)
-
-
 def margin_of(bound: Bound) -> float:
     """Return the gap that counts as contact [rad | m]."""
-    return max(_ROUND_OFF * abs(bound.position), _LEAST_GAP)
+    # The angles of a ball are functions of a quaternion of length one.
+    size = max(4.0, abs(bound.position)) if isinstance(bound, BallBound) else abs(bound.position)
+    return max(_ROUND_OFF * size, _LEAST_GAP)
 
 
 def reactions_of(plan: Plan, rest: Rest, t: Array, samples: Sample, numbers: Array) -> Array:
@@ -364,24 +298,35 @@ def reactions_of(plan: Plan, rest: Rest, t: Array, samples: Sample, numbers: Arr
 
 
 def locked_scene(
-    scene: Scene, rest: Rest, places: Sequence[float | Parameter] | None = None
+    scene: Scene,
+    rest: Rest,
+    x: Array,
+    xdot: Array,
+    places: Sequence[float | Parameter] | None = None,
 ) -> Scene:
     """Return a scene without stops in which some joints are locked at their stops.
 
     Args:
         scene: The scene.
         rest: The stops.
+        x: Shape with these joints at their stops, (nx,) [rad | m | 1].
+        xdot: Its rate, (m,).
         places: Positions of the joints [rad | m]; None for those of the stops.
     """
     start, names = scene.start, scene.system.shape_names
-    x, xdot = start.x.copy(), start.xdot.copy()
-    for bound in rest:
-        x[bound.x], xdot[bound.v] = bound.position, 0.0
     at = [bound.position for bound in rest] if places is None else places
     plans = {names[bound.v]: place for bound, place in zip(rest, at, strict=True)}
+    resting = frozenset(bound.v for bound in rest)
+    forces = [
+        ComputedTorqueAtRest(**vars(force), resting=resting)
+        if isinstance(force, ComputedTorque)
+        else force
+        for force in list_forces(scene.forces)
+    ]
     return replace(
         scene, x0=x, xdot0=xdot, xi0=start.xi, pose0=start.pose, momentum=None, seed=None,
         keyframe=None, q0=None, v0=None, prescribed={**scene.prescribed, **plans},
+        forces=forces,
     )  # fmt: skip
 
 
@@ -433,25 +378,26 @@ class _Run:
         self.first = CompiledFlow.of_plan(free_plan)
         integrate = integrator(self.first, free_plan, progress, chunk=_CHUNK)
         self._modes: dict[Rest, Mode] = {(): Mode((), self.bounds, self.first, integrate)}
-        self._reduction = self.system.workspace(
-            PointwiseReduction, lambda: PointwiseReduction(self.system)
-        )
+        tree = self.system.open_tree()
+        self._reduction = tree.workspace(PointwiseReduction, lambda: PointwiseReduction(tree))
         # Rates that impacts change, and the index of each rate among them.
         self._rates = list(plan.acting.free)
         self._impacts, self._at_once, self.building = 0, 0, 0.0
         watched = self.scene.watched
         self.watch = None if watched is None else Watch(self.scene, self.first, watched)
+        # Force parameters of the scene, which controllers change.
+        self._control, self._numbers = Control(self.scene), self.first.numbers.copy()
 
     def _limited(self, scene: Scene) -> Plan:
         return plan_of(scene).limited(self.plan.longest, self.plan.stops[:-1])
 
-    def mode(self, rest: Rest) -> Mode:
-        """Return a mode, built at its first use."""
+    def mode(self, rest: Rest, x: Array, xdot: Array) -> Mode:
+        """Return a mode, built at its first use for a state with these joints at rest."""
         mode = self._modes.get(rest)
         if mode is None:
             began = time.perf_counter()
             locked = {bound.v for bound in rest}
-            plan = self._limited(locked_scene(self._free, rest))
+            plan = self._limited(locked_scene(self._free, rest, x, xdot))
             flow = self.first.in_mode(plan)
             moving = tuple(bound for bound in self.bounds if bound.v not in locked)
             integrate = integrator(flow, plan, self.progress, chunk=_CHUNK)
@@ -465,14 +411,14 @@ class _Run:
         x = self._free.start.x
         touching = [bound for bound in self.bounds if self._gap(bound, x) <= 0.0]
         state = _State(0.0, self.first, self.first.y0)
-        phase = Phase(self.mode(()), 0.0, self.first, None)
+        phase = Phase(self._modes[()], 0.0, self.first, None)
         if touching:
             phase = self._resolve(state, (), touching, released=())
         while True:
             phases.append(phase)
             state, search = self._follow(phase)
             if state.t >= end or search is None:
-                return StoppedMotion(phases, self.first, self.watch)
+                return StoppedMotion(phases, self.first, self.watch, self._control.calls)
             phase = self._next(state, phase.mode, search)
 
     def _follow(self, phase: Phase) -> tuple[_State, _StopSearch | None]:
@@ -481,9 +427,12 @@ class _Run:
         cling = self._cling(flow, t, y) if mode.rest else 0.0
         if self.watch is not None:
             self.watch.flow = flow
-        for stop in self.plan.stops[self.plan.stops > t].tolist():
-            parameters = read_only(flow.parameters_between(t, stop))
-            own = self.first.parameters_between(t, stop)[self.first.numbers_at]
+        while t < self.scene.end:
+            stop = self._control.begin(
+                self._numbers, t, self._stop_after(t), partial(flow.sample, t, y)
+            )
+            own = read_only(self._numbers.copy())
+            parameters = read_only(self._commanded(flow, t, stop))
             search = _StopSearch(self.plan, mode, flow, own, cling)
             segment = mode.integrate(t, stop, read_only(y), parameters, search.look)
             is_hit = search.look(segment)
@@ -514,6 +463,16 @@ class _Run:
                 return _State(t, flow, y), search
         return _State(t, flow, y), None
 
+    def _commanded(self, flow: CompiledFlow, t: float, stop: float) -> Array:
+        """Return the parameters of a mode's flow from t to a stop, with held commands."""
+        parameters = flow.parameters_between(t, stop)
+        forces, of_mode = self.plan.forces, flow.kernel.forces
+        if forces is not None and of_mode is not None:
+            numbers = parameters[flow.numbers_at]
+            for (_, where), (_, target) in zip(forces.held, of_mode.held, strict=True):
+                numbers[target] = self._numbers[where]
+        return parameters
+
     def _next(self, state: _State, mode: Mode, search: _StopSearch) -> Phase:
         """Return the phase after an impact or a release."""
         x, xdot, _ = state.values
@@ -522,7 +481,7 @@ class _Run:
         released = tuple(bound for bound in mode.rest if bound in together)
         touching = []
         for bound in mode.moving:
-            u, gap = bound.sign * xdot[bound.v], self._gap(bound, x)
+            u, gap = bound.normal(x, len(xdot)) @ xdot, self._gap(bound, x)
             if bound in together or gap <= 0.0 or (u < 0.0 and gap <= -u * within):
                 touching.append(bound)
         self._refuse_driven(touching, state.t)
@@ -544,40 +503,61 @@ class _Run:
         among = {*rest, *touching}
         bounds = tuple(bound for bound in self.bounds if bound in among)
         for bound in bounds:
-            x[bound.x] = bound.position
-        v, sign = [b.v for b in bounds], np.array([b.sign for b in bounds])
-        rows = [self._rates.index(k) for k in v]
-        inverse = self._inverse_metric(x, rows)
-        G = sign[:, None] * inverse[rows] * sign
+            bound.place(x)
+        normals = np.array([b.normal(x, len(pi)) for b in bounds]).reshape(-1, len(pi))
+        inverse = self._inverse_metric(x, normals[:, self._rates])
+        G = normals[:, self._rates] @ inverse
+        self._refuse_dependent(bounds, G, state.t)
         small = _AT_REST * float(np.abs(xdot).max(initial=0.0))
-        u = sign * xdot[v]
+        u = normals @ xdot
         u[[bound in rest for bound in bounds]] = 0.0
         may_rest = np.array([bound not in released for bound in bounds])
         contact = _Contact(bounds, np.where(np.abs(u) <= small, 0.0, u), 0.5 * (G + G.T), may_rest)
-        impulse, after, resting = self._outcome(state, contact, x, xdot, inverse, sign)
-        pi[v] += sign * impulse
-        new = self.mode(tuple(b for b, stays in zip(bounds, resting, strict=True) if stays))
+        impulse, after, resting = self._outcome(state, contact, x, xdot, inverse)
+        pi += impulse @ normals
+        rates = xdot.copy()
+        rates[self._rates] += inverse @ impulse
+        if self.system.loops:
+            pi = self._momenta_in_loops(state, x, rates)
+        rests = tuple(b for b, stays in zip(bounds, resting, strict=True) if stays)
+        rates[[b.v for b in rests]] = 0.0
+        new = self.mode(rests, x, rates)
         flow = new.start.resumed(state.t, x, pi, state.flow, state.y)
         impact = _impact(state.t, contact, impulse, after)
         self._count(impact, state.t)
         return Phase(new, state.t, flow, impact)
 
     def _outcome(
-        self, state: _State, contact: _Contact, x: Array, xdot: Array, inverse: Array, sign: Array
+        self, state: _State, contact: _Contact, x: Array, xdot: Array, inverse: Array
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return the impulses, the rates after them, and the joints that rest, (K,) each.
 
         Slow rebounds become rest if the joint stays at its stop. Whether it does depends on the
-        other joints, so the decision is repeated without those that leave.
+        other joints, so the decision is repeated without those that leave. At a contact, the joint
+        is moved to its stop, which is a lift by round-off that can sustain a very slow rebound.
+        Such a rebound becomes rest, too.
+
+        Raises:
+            IntegrationError: A ball comes to rest at its stop.
         """
         bounds, u, G = contact.bounds, contact.u, contact.G
         e = np.array([bound.stop.restitution for bound in bounds])
         slowest = np.array([bound.stop.rest_rate for bound in bounds])
         positions = np.array([abs(bound.position) for bound in bounds])
         allowed = self.scene.atol + self.scene.rtol * np.maximum(1.0, positions)
+        sustained = 2.0 * np.array([margin_of(bound) for bound in bounds])
+        sustained *= np.where(e < 1.0, e**2 / np.maximum(1.0 - e**2, _ROUND_OFF), 0.0)
         usual = impulses(G, u, e)
         rebound = np.where(usual > 0.0, -e * u, u + G @ usual)
-        slow = contact.may_rest & (rebound <= slowest)
+        slow = contact.may_rest & (rebound <= np.maximum(slowest, _SLOW))
+        for k in (k for k, bound in enumerate(bounds) if isinstance(bound, BallBound)):
+            slow[k] = False
+            if usual[k] > 0.0 and rebound[k] <= slowest[k]:
+                raise IntegrationError(
+                    f"stops: ball joint '{bounds[k].joint}' of '{self.system.name}' comes to rest "
+                    f"at its {bounds[k].side} stop at t = {state.t:g} s, which is not simulated. "
+                    "End the motion earlier, or load the ball as three hinges"
+                )
         if not slow.any():
             return usual, rebound, slow
         while True:
@@ -592,11 +572,14 @@ class _Run:
             height = np.full(len(bounds), np.inf)
             if chosen.size:
                 rates = xdot.copy()
-                rates[self._rates] += inverse @ (sign * impulse)
+                rates[self._rates] += inverse @ impulse
                 rest = tuple(bounds[k] for k in chosen)
                 resting[chosen], back = self._stays(state, rest, block, x, rates)
                 height[chosen] = rebound[chosen] ** 2 / (2.0 * np.maximum(back, 1e-300))
-            leaves = slow & (rebound > 0.0) & ~(resting & (height <= allowed))
+            leaves = slow & (rebound > slowest) & ~(resting & (height <= sustained))
+            if not leaves.any():
+                low = np.maximum(np.where(rebound <= slowest, allowed, 0.0), sustained)
+                leaves = slow & (rebound > 0.0) & ~(resting & (height <= low))
             if not leaves.any():
                 return impulse, after, resting
             slow &= ~leaves
@@ -610,8 +593,9 @@ class _Run:
         R ≥ 0, and a or R is zero; R_locked are the reactions if all joints stay.
         """
         sample = self._sample(state, x, xdot)
-        own = self.first.parameters_between(state.t, self._stop_after(state.t))
-        numbers = own[self.first.numbers_at]
+        numbers = self._numbers.copy()
+        if self.plan.forces is not None:
+            self.plan.forces.set_span(numbers, time_within(state.t, self._stop_after(state.t)))
         t = np.array([state.t])
         locked = reactions_of(self.plan, rest, t, sample, numbers)[0]
         energy = self._energy(x, xdot, sample.xi[0])
@@ -619,6 +603,36 @@ class _Run:
         if (locked >= -_CLINGING * energy).all():
             return np.ones(len(rest), dtype=bool), back
         return solve_complementarity(G, -G @ locked) > 0.0, back
+
+    def _refuse_dependent(self, bounds: Rest, G: Array, t: float) -> None:
+        """Reject stops of joints to which the loops leave no motions of their own.
+
+        Args:
+            bounds: The stops.
+            G: Inverse reduced metric with the signs of the stops, (K, K).
+            t: Time [s].
+        Raises:
+            IntegrationError: The motions of these joints depend on each other.
+        """
+        if not self.system.loops or not bounds:
+            return
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(G), 1e-300))
+        if np.linalg.eigvalsh(scale[:, None] * G * scale)[0] > _DEPENDENT:
+            return
+        names = listed([f"{bound.joint} at its {bound.side} stop" for bound in bounds], 8)
+        raise IntegrationError(
+            f"stops: the loops of '{self.system.name}' leave {names} no independent motions at "
+            f"t = {t:g} s, so the reactions of these stops are not determined. Omit one of them"
+        )
+
+    def _momenta_in_loops(self, state: _State, x: Array, xdot: Array) -> Array:
+        """Return the canonical momenta (m,) at a state whose rates keep the loops closed.
+
+        The multipliers of the loops are impulses, too. Their gauge begins at zero again.
+        """
+        r, split = self.system.r, self._reduction.split(x)
+        xi = self._sample(state, x, xdot).xi[0]
+        return np.asarray(split.mass_matrix[r:] @ np.concatenate([xi, xdot]))
 
     def _sample(self, state: _State, x: Array, xdot: Array) -> Sample:
         """Return the sample at a state with other rates of the shape and the same momentum."""
@@ -652,23 +666,34 @@ class _Run:
                 f"t = {t:g} s. Increase rest_rate, or simulate a shorter time"
             )
 
-    def _inverse_metric(self, x: Array, columns: Sequence[int]) -> Array:
-        """Return columns of the inverse reduced metric of the rates that impacts change.
+    def _inverse_metric(self, x: Array, normals: Array) -> Array:
+        """Return the inverse reduced metric of the rates that impacts change, times normals.
 
-        It is the block of the inverse mass matrix that belongs to these rates.
+        It is the block of the inverse mass matrix that belongs to these rates. The multipliers of
+        closed loops keep the rates in them compatible.
+
+        Args:
+            x: Shape, (nx,).
+            normals: Rates of gaps per rate, (K, f).
+        Returns:
+            (f, K).
         """
         system, r = self.system, self.system.r
         q = system.sorted_q(system.group.identity(), x)
         upper = pin.crba(system.sorted_model, system.sorted_data, q)
         kept = np.array([*range(r), *(r + k for k in self._rates)])
         H = system.coupled_matrix(symmetric(upper))[np.ix_(kept, kept)]
-        unit = np.zeros((len(kept), len(columns)))
-        unit[r + np.array(columns), np.arange(len(columns))] = 1.0
-        return np.asarray(np.linalg.solve(H, unit)[r:])
+        unit = np.vstack([np.zeros((r, len(normals))), normals.T])
+        response = np.linalg.solve(H, unit)[r:]
+        if system.closure is not None:
+            J = loop_jacobian(system, x)[system.closure.rows][:, self._rates]
+            of_loops = np.linalg.solve(H, np.vstack([np.zeros((r, len(J))), J.T]))[r:]
+            response -= of_loops @ np.linalg.solve(J @ of_loops, J @ response)
+        return np.asarray(response)
 
     @staticmethod
     def _gap(bound: Bound, x: Array) -> float:
-        return float(bound.sign * (x[bound.x] - bound.position)) - margin_of(bound)
+        return float(bound.sign * (bound.values(x) - bound.position)) - margin_of(bound)
 
 
 def _impact(t: float, contact: _Contact, impulse: Array, after: Array) -> Impact | None:
@@ -705,6 +730,7 @@ def run_with_stops(plan: Plan, progress: Progress | None, again: Again) -> Traje
     run = _Run(plan, progress)
     started = time.perf_counter()
     motion = run.motion()
+    refuse_singular_loops(plan.system, motion)
     wall = time.perf_counter() - started - run.building  # kernels are built once
     cost = Cost("compiled", plan.method.name, motion.steps, motion.evaluations, wall, plan.notices)
     return trajectory_of_motion(plan, motion, cost, again)
@@ -721,18 +747,13 @@ def refuse_with_stops(plan: Plan, engine: str, *, check: bool, checkpoint: bool)
     Raises:
         InputError: An option does not act together with stops; the message has the remedy.
     """
-    forces, method = plan.forces, plan.method
-    reference = any(isinstance(f, (PD, ComputedTorque)) for f in list_forces(plan.scene.forces))
+    method = plan.method
     refused = {
         "engine 'pinocchio'. Use the compiled engine": engine != "compiled",
         "checkpoint. Omit it": checkpoint,
         "check. Omit it": check,
-        "controllers. Use forces or controls that are functions of time and state": bool(
-            forces is not None and forces.held
-        ),
         f"method {method.name}. Use DOP853, Tsit5 or auto": not isinstance(method, ErrorControl)
         or method.symplectic,
-        "forces with a reference. Use torques that are functions of the state": reference,
     }
     for words, is_refused in refused.items():
         if is_refused:

@@ -84,8 +84,18 @@ JOINTS: list[Callable[[Rng], pin.JointModel]] = [
 ]
 
 
-def random_model(group: str, joints: int, seed: int, *, armature: bool = True) -> pin.Model:
-    """Return a branched tree with `joints` shape joints on a root of `group`, without gravity."""
+def random_model(
+    group: str, joints: int, seed: int, *, armature: bool = True, balls: float = 0.0
+) -> pin.Model:
+    """Return a branched tree with `joints` shape joints on a root of `group`, without gravity.
+
+    Args:
+        group: Name of the symmetry group.
+        joints: Number of shape joints.
+        seed: Seed of the tree.
+        armature: Whether the joints have armature; only without balls.
+        balls: Share of balls among the joints.
+    """
     assert group in GROUPS
     rng = np.random.default_rng(seed)
     model = pin.Model()
@@ -94,6 +104,8 @@ def random_model(group: str, joints: int, seed: int, *, armature: bool = True) -
     for k in range(joints + 1):
         joint_types = JOINTS if k else ROOTS[group]
         joint_type = joint_types[rng.integers(len(joint_types))](rng)
+        if k and balls and rng.random() < balls:
+            joint_type = pin.JointModelSpherical()
         # Branch only off the path to the newest joint, because Pinocchio needs depth-first order.
         path = list(model.supports[k])[1:] if k else [0]
         parent = int(path[rng.integers(len(path))])

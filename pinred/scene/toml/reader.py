@@ -27,7 +27,7 @@ from ..event import Event
 from ..initial_state import DURATION
 from ..input_formats import parse_control, parse_controls, parse_method
 from ..scene import ENGINES, Engine, Scene
-from ..stop import Stop, parse_stops
+from ..stop import parse_stops, stop_of_table
 from .documents import FILE_OPTIONS, IMPACTS, SCENE, options_in, read_document, robot_in
 from .file_place import Place, naming, one_line, unknown
 from .force_kinds import FORCES
@@ -365,7 +365,7 @@ class _Builder:
         if not isinstance(value, dict):
             return value
         with naming(place):
-            tables = {name: Stop(**e) for name, e in value.items() if isinstance(e, dict)}
+            tables = {name: stop_of_table(e) for name, e in value.items() if isinstance(e, dict)}
             return {**value, **parse_stops({**value, **tables}, self.system)}
 
     def _controls(self, values: Mapping[str, Any], place: Place) -> dict[str, Any]:

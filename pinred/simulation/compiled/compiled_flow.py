@@ -326,8 +326,8 @@ def kernel_of(
     """
     if plan.scene.bounds:  # Runs with stops build kernels of their modes, whose scenes have none.
         raise InputError(
-            "stops: only simulate, simulate_many, sweep, compare, flow and floquet take stops. Omit "
-            "them here, or call one of these"
+            "stops: only simulate, simulate_many, sweep, compare, flow and floquet take stops. "
+            "Omit them here, or call one of these"
         )
     kind = plan.kind(zero_momentum=zero_momentum, generic=generic, all_momenta=all_momenta)
     system, structure, forces = kind.system, kind.structure, kind.forces

@@ -19,7 +19,8 @@ from ...integrators.solution import Solution
 from ...kernels.state_layout import Layout
 from ...scene.scene import Scene
 from ...scene.stop import Bound
-from ..run_with_stops import Phase, StoppedMotion, bernstein, margin_of
+from ..polynomial_roots import bernstein
+from ..run_with_stops import Phase, StoppedMotion, margin_of
 
 _DEGREE = 8  # Degree of the polynomials that describe gaps within a step.
 _REAL = 1e-9  # Imaginary part of a real root, relative to the step.

@@ -18,11 +18,14 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.parameter import Parameter
+from ...forces.controller import Controller
+from ...forces.tracking import ComputedTorque
 from ...integrators.solution import Solution
 from ...integrators.stepping.state_rows import unit_alone
 from ...kernels.flow_functions import Row
+from ...scene.input_formats import list_forces
 from ...scene.scene import Scene
-from ...scene.stop import Bound, changed_stops
+from ...scene.stop import BallBound, Bound, changed_stops
 from ...system.model_parameters import joined, plain_value
 from ...system.state_fields import Outcome, ShapeState, State
 from ..compiled.compiled_flow import CompiledFlow
@@ -180,6 +183,19 @@ class StoppedPropagator(Propagator):
                 f"stops: flows with stops take no closed loops, but '{scene.system.name}' has "
                 "some. Omit stops, or open the loops when it is loaded (loops=)"
             )
+        balls = [bound.joint for bound in scene.bounds if isinstance(bound, BallBound)]
+        if balls:
+            raise InputError(
+                f"stops: flows take stops of hinges and slides, got one of ball '{balls[0]}'. Omit "
+                "it, or load the ball as three hinges"
+            )
+        laws = [force for force in list_forces(scene.forces)
+                if isinstance(force, (Controller, ComputedTorque))]  # fmt: skip
+        if laws:
+            raise InputError(
+                f"stops: flows with stops take no {type(laws[0]).__name__}, whose commands do not "
+                "follow the derivatives of a joint at rest. Omit it, or omit stops"
+            )
         self.scene, self._wrt, self._free = scene, tuple(wrt), replace(scene, stops=None)
         super().__init__(plan_of(self._free), zero_momentum=zero_momentum)
         self._bounds = {(bound.joint, bound.side): bound for bound in scene.bounds}
@@ -324,7 +340,10 @@ class StoppedPropagator(Propagator):
         mode = self._modes.get(own)
         if mode is None:
             places = [Parameter(place_name(k), bound.position) for k, bound in enumerate(own)]
-            plan = plan_of(locked_scene(self._free, own, places))
+            x, xdot = self._free.start.x.copy(), self._free.start.xdot.copy()
+            for bound in own:
+                x[bound.x], xdot[bound.v] = bound.position, 0.0
+            plan = plan_of(locked_scene(self._free, own, x, xdot, places))
             propagator = Propagator(plan, zero_momentum=self.zero_momentum)
             mode = self._modes[own] = FlowMode.of(own, propagator, self, self._stops)
         return mode

@@ -27,6 +27,7 @@ from ...scene import input_formats
 from ...scene.initial_state import GivenStates, order_by_joint, random_state, refuse_vague
 from ...scene.scene import Scene
 from ...scene.stop import (
+    BallStop,
     Stop,
     bounds_of,
     changed_stops,
@@ -199,7 +200,7 @@ class MemberOptions:
             base = replace(base, system=system) if isinstance(base, Scene) else system
         return as_scene(base, options, "simulate_many")
 
-    def _stops_of(self, member: int) -> dict[str, Stop]:
+    def _stops_of(self, member: int) -> dict[str, Stop | BallStop]:
         """Return the stops of a member if their numbers vary.  Raises InputError."""
         stops = getattr(self.base, "stops", None)
         shared = parse_stops(self.common.get("stops", stops), self.system)
