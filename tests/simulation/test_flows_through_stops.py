@@ -24,7 +24,7 @@ import pinred
 from pinred import Parameter
 from pinred.common.arrays import Array
 from pinred.forces import Torque
-from pinred.scene.stop import with_stop_numbers
+from pinred.scene.stop import changed_stops
 from pinred.simulation import run_with_stops
 from pinred.simulation.run_with_stops import StoppedMotion
 from pinred.system.state_fields import State
@@ -64,7 +64,7 @@ def assert_derivatives(
         states: dict[str, Any] = {n: moved.pop(n) for n in ("x0", "xdot0", "xi0") if n in moved}
         numbers = {name: float(moved.pop(name)[0]) for name in [*moved] if ".stop." in name}
         values = {n: v if v.size > 1 else float(v[0]) for n, v in moved.items()}
-        stops = with_stop_numbers(stops_of(traj), numbers)
+        stops = changed_stops(stops_of(traj), numbers)
         options: dict[str, Any] = {**run, **states, "parameters": values, "stops": stops}
         other = pinred.simulate(system, **options)
         assert other.impacts.joint == traj.impacts.joint

@@ -28,9 +28,10 @@ def push(state: SeenState) -> dict[str, float]:
 
 def controlled(force: Any, **options: Any) -> pinred.Trajectory:
     """Return a motion of the cat between its stops."""
+    given: dict[str, Any] = {"duration": 0.8, "stops": STOPS, **COARSE, **options}
     return pinred.simulate(
         pinred.load("falling_cat"), x0=[0.0, 0.1, -0.2], xdot0=[1.0, 0.5, 0.0], forces=[force],
-        **{"duration": 0.8, "stops": STOPS} | COARSE | options,
+        **given,
     )  # fmt: skip
 
 
@@ -39,7 +40,7 @@ def controlled(force: Any, **options: Any) -> pinred.Trajectory:
     [
         PD({"bend": BEND, "sway": 0.2}, 2.0, 0.1),
         ComputedTorque({"bend": BEND, "sway": SWAY, "twist": 0.1}, 40.0, 8.0),
-        Controller(push, period=0.05, joints=["bend", "sway"]),
+        Controller(push, period=0.05, joints=("bend", "sway")),
     ],
     ids=["PD", "computed torque", "controller"],
 )
@@ -55,7 +56,7 @@ def test_controlled_motions_with_stops_pass_the_comparison(force: Any) -> None:
 def test_command_that_pulls_releases_a_joint_at_the_time_of_the_call() -> None:
     """The hold changes its sign at 0.65 s, and the joint leaves its stop at this time."""
     traj = controlled(
-        Controller(push, period=0.05, joints=["bend", "sway"]), stops={"sway": (-0.3, 0.3)}
+        Controller(push, period=0.05, joints=("bend", "sway")), stops={"sway": (-0.3, 0.3)}
     )
     times = [t for t, _ in traj.motion.modes]
     assert traj.motion.modes[-1][1] == "no joint at rest"

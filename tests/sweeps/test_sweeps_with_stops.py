@@ -14,9 +14,13 @@ import pinred
 from pinred.cli.main import main
 from pinred.scene.scene import Scene
 from pinred.sweeps import sweep as sweep_module
+from pinred.sweeps.sweep_job import SweepJob
 
 CAT = pinred.load("falling_cat")
-STOPS = {"bend": (-0.6, 0.6), "sway": pinred.Stop(-0.5, 0.5, restitution=0.6)}
+STOPS: dict[str, Any] = {
+    "bend": (-0.6, 0.6),
+    "sway": pinred.Stop(-0.5, 0.5, restitution=0.6),
+}
 
 
 def slide_scene(**options: Any) -> Scene:
@@ -99,7 +103,7 @@ def test_interrupted_sweep_continues_with_the_same_numbers(
     vary = {"xdot0.slide": [-1.0, -2.0, -3.0, -4.0]}
     options: dict[str, Any] = {"outputs": ["x", "impacts", "first_impact"], "block": 1}
     whole = pinred.sweep(slide_scene(), vary, **options)
-    compute = sweep_module.SweepJob.compute
+    compute = SweepJob.compute
     computed: list[int] = []
 
     def interrupted(self: Any, index: int, *args: Any) -> Any:
@@ -108,7 +112,7 @@ def test_interrupted_sweep_continues_with_the_same_numbers(
         computed.append(index)
         return compute(self, index, *args)
 
-    monkeypatch.setattr(sweep_module.SweepJob, "compute", interrupted)
+    monkeypatch.setattr(SweepJob, "compute", interrupted)
     with pytest.raises(KeyboardInterrupt):
         pinred.sweep(slide_scene(), vary, store=tmp_path / "s.zarr", **options)
     computed.append(-1)
