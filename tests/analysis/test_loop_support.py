@@ -36,6 +36,18 @@ def motion() -> pinred.Trajectory:
     return pinred.simulate(linkage(), duration=0.05, seed=1)
 
 
+def captured() -> pinred.Capture:
+    """Return the linkage with a body at its base."""
+    rock = pinred.Model("rock").body("rock", mass=1.0, inertia=0.1)
+    start = motion()
+    at_base = pinred.Scene(
+        system=pinred.load(rock, group="SE2", gravity=(0, 0, 0)),
+        pose0=start.pose[-1],
+        xi0=[0.1, 0.0, 0.2],
+    )
+    return pinred.capture(start, at_base, at="base", onto="rock")
+
+
 def circle() -> pinred.Gait:
     """Return a small circle of the cranks."""
     return pinred.Gait.fourier([2.0, 1.0], [[0.1, 0.0]], [[0.0, 0.1]])
@@ -73,6 +85,10 @@ SUPPORTED: dict[str, Call] = {
     "linearise": lambda: pinred.linearise(motion()),
     "plot": lambda: pinred.plot(motion(), "shape"),
     "casimirs": lambda: pinred.poisson.casimirs(linkage()),
+    "capture": lambda: captured(),
+    "release": lambda: pinred.release(captured(), "rock"),
+    "land": lambda: pinred.land(motion(), "base"),
+    "chain": lambda: pinred.chain(motion(), pinred.land(motion(), "base", contact="flat")),
 }
 SLOW = ("optimise_gait", "reorient")
 REFUSED: dict[str, Call] = {

@@ -26,7 +26,6 @@ from ...lie.rotations import (
     quaternion_product,
     unwrapped_rotation_vectors,
 )
-from ...system.joints import attitude_of
 from .formulas import Constant, Expression
 from .signal import Signal
 from .tabulated import Hold, Linear, Spline
@@ -65,6 +64,8 @@ class Attitude:
                 "vector of an Attitude: expected three signals, numbers or formulas in t, got "
                 f"{brief(self.vector)}"
             )
+        from ...system.joints import attitude_of
+
         signals = tuple(_signal(v, axis) for v, axis in zip(values, _AXES, strict=True))
         object.__setattr__(self, "vector", signals)
         object.__setattr__(self, "centre", attitude_of(self.centre, "centre of an Attitude"))
@@ -97,6 +98,8 @@ class Attitude:
                 "attitudes: expected rotation vectors (n, 3) or quaternions (n, 4), got shape "
                 f"{table.shape}"
             )
+        from ...system.joints import attitude_of
+
         q = np.array([attitude_of(row, f"attitudes[{k}]") for k, row in enumerate(table)])
         about = attitude_of(centre, "centre of an Attitude")
         vectors = unwrapped_rotation_vectors(quaternion_product(conjugate(about), q))
