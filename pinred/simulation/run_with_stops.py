@@ -29,14 +29,13 @@ from ..integrators.methods import ErrorControl
 from ..reduction.inertia_split import symmetric
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..scene.input_formats import list_forces
-from ..scene.scene import Scene
+from ..scene.scene import Engine, Scene
 from ..scene.stop import BallBound, Bound
 from ..system.coordinates import Indices
 from ..system.loops.looped_system import loop_jacobian
 from ..system.state_fields import ShapeState, State
+from ..system.system import System
 from .balances import driving_torques
-from .compiled.compiled_flow import CompiledFlow
-from .compiled.integrator import integrator
 from .control import Control, ControlAction
 from .events import RootSearch, Watch, cut_at
 from .impacts import Impact, ImpactTable, impulses, solve_complementarity, table_of
@@ -44,12 +43,12 @@ from .integrate_plan import Again, trajectory_of_motion
 from .motion import Motion
 from .plan import Plan, plan_of
 from .polynomial_roots import bernstein, first_root
-from .reduced_flow import Integrate, ReducedFlow, Segment
+from .reduced_flow import Integrate, ModeFlow, ReducedFlow, Segment
 from .sample import Sample
 from .singular_loops import refuse_singular_loops
+from .stop_engines import StopEngine
 from .trajectory import Cost, Trajectory
 
-_CHUNK = 8  # Number of steps after which stops are first looked for.
 _ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # of a position, relative
 _LEAST_GAP = 1e-18  # Smallest margin of a gap, for stops at zero [rad | m].
 _CLINGING = 1e-14  # Pull of a stop that counts as round-off, per kinetic energy [1/rad | 1/m].
@@ -75,7 +74,7 @@ class Mode:
 
     rest: Rest
     moving: tuple[Bound, ...]
-    start: CompiledFlow
+    start: ModeFlow
     integrate: Integrate
 
     @property
@@ -101,7 +100,7 @@ class Phase:
 
     mode: Mode
     start: float
-    flow: CompiledFlow
+    flow: ModeFlow
     impact: Impact | None
     segments: list[Segment] = field(default_factory=list)
     numbers: list[Array] = field(default_factory=list)
@@ -117,7 +116,7 @@ class StoppedMotion(Motion):
     def __init__(
         self,
         phases: Sequence[Phase],
-        before: CompiledFlow,
+        before: ModeFlow,
         watch: Watch | None,
         actions: Sequence[ControlAction],
     ) -> None:
@@ -144,14 +143,15 @@ class StoppedMotion(Motion):
         for phase in self._phases:
             if phase.impact is not None:
                 t = np.array([phase.start])
-                states = [flow.states(t, y[None])]
-                states.append(phase.flow.states(t, phase.flow.y0[None]))
+                states = [flow.states(t, y[None], flow.parameters)]
+                after = phase.flow
+                states.append(after.states(t, after.y0[None], after.parameters))
                 impacts.append(phase.impact)
-                momenta.append([momentum_of(state, self._before) for state in states])
+                momenta.append([momentum_of(state, flow.system) for state in states])
             flow, y = phase.flow, phase.flow.y0
             for last in phase.segments[-1:]:
                 y = last.at(np.array([last.end]))[0]
-        shape = len(impacts), 2, self._before.kernel.system.r
+        shape = len(impacts), 2, self._before.system.r
         return table_of(impacts, np.array(momenta).reshape(shape))
 
     @property
@@ -189,11 +189,11 @@ class StoppedMotion(Motion):
             yield tuple(bound.v for bound in self._of_segment[k].mode.rest), rows
 
 
-def momentum_of(state: State | ShapeState, flow: CompiledFlow) -> Array:
+def momentum_of(state: State | ShapeState, system: System) -> Array:
     """Return the spatial momentum (r,) of a single state; NaN if the base is left out."""
     if isinstance(state, State):
         return np.asarray(state.spatial_momentum[0])
-    return np.full(flow.kernel.system.r, np.nan)
+    return np.full(system.r, np.nan)
 
 
 class _StopSearch(RootSearch):
@@ -204,19 +204,20 @@ class _StopSearch(RootSearch):
     sampled like events.
     """
 
-    def __init__(self, plan: Plan, mode: Mode, flow: CompiledFlow, numbers: Array, cling: float):
+    def __init__(
+        self, plan: Plan, degree: int, mode: Mode, flow: ModeFlow, numbers: Array, cling: float
+    ) -> None:
         """Prepare the search from the start of a phase.
 
         Args:
             plan: The plan of the scene.
+            degree: Degree of the dense output within a step.
             mode: The mode.
             flow: Its flow.
             numbers: Force parameters of the scene, (p,).
             cling: Pull of a stop that counts as round-off.
         """
-        layout, bounds = flow.kernel.layout, mode.moving
-        at = {v: k for k, v in enumerate(layout.active)}
-        at |= {v: 2 * layout.pairs + k for k, v in enumerate(layout.cyclic)}
+        bounds, at = mode.moving, flow.position_entries
         self._polynomial = [k for k, bound in enumerate(bounds) if bound.v in at]
         self._driven = [k for k, bound in enumerate(bounds) if bound.v not in at]
         count = len(self._driven) + len(mode.rest)
@@ -228,7 +229,7 @@ class _StopSearch(RootSearch):
         positions = np.array([bound.position for bound in bounds])
         margins = np.array([margin_of(bound) for bound in bounds])
         self._offsets = margins - self._sides * positions
-        self._nodes, self._bernstein = bernstein(plan.method.order)
+        self._nodes, self._bernstein = bernstein(degree)
         self.found: list[tuple[float, Bound]] = []
 
     def look(self, segment: Segment) -> bool:
@@ -341,7 +342,7 @@ class _State:
     """
 
     t: float
-    flow: CompiledFlow
+    flow: ModeFlow
     y: Array
 
     @cached_property
@@ -370,13 +371,14 @@ class _Contact:
 class _Run:
     """One run with stops."""
 
-    def __init__(self, plan: Plan, progress: Progress | None) -> None:
+    def __init__(self, plan: Plan, progress: Progress | None, engine: StopEngine) -> None:
+        self._engine = engine
         self.plan, self.scene, self.bounds = plan, plan.scene, plan.scene.bounds
         self.progress, self.system = progress, plan.system
         self._free = replace(self.scene, stops=None, events=())
         free_plan = self._limited(self._free)
-        self.first = CompiledFlow.of_plan(free_plan)
-        integrate = integrator(self.first, free_plan, progress, chunk=_CHUNK)
+        self.first = engine.start(free_plan)
+        integrate = engine.integrator(self.first, free_plan, progress)
         self._modes: dict[Rest, Mode] = {(): Mode((), self.bounds, self.first, integrate)}
         tree = self.system.open_tree()
         self._reduction = tree.workspace(PointwiseReduction, lambda: PointwiseReduction(tree))
@@ -400,7 +402,7 @@ class _Run:
             plan = self._limited(locked_scene(self._free, rest, x, xdot))
             flow = self.first.in_mode(plan)
             moving = tuple(bound for bound in self.bounds if bound.v not in locked)
-            integrate = integrator(flow, plan, self.progress, chunk=_CHUNK)
+            integrate = self._engine.integrator(flow, plan, self.progress)
             mode = self._modes[rest] = Mode(rest, moving, flow, integrate)
             self.building += time.perf_counter() - began
         return mode
@@ -429,11 +431,11 @@ class _Run:
             self.watch.flow = flow
         while t < self.scene.end:
             stop = self._control.begin(
-                self._numbers, t, self._stop_after(t), partial(flow.sample, t, y)
+                self._numbers, t, self._stop_after(t), partial(flow.sample, t, y, flow.parameters)
             )
             own = read_only(self._numbers.copy())
             parameters = read_only(self._commanded(flow, t, stop))
-            search = _StopSearch(self.plan, mode, flow, own, cling)
+            search = _StopSearch(self.plan, self._engine.degree, mode, flow, own, cling)
             segment = mode.integrate(t, stop, read_only(y), parameters, search.look)
             is_hit = search.look(segment)
             parts = cut_at(search.found[0][0], segment, mode.integrate) if is_hit else [segment]
@@ -463,10 +465,10 @@ class _Run:
                 return _State(t, flow, y), search
         return _State(t, flow, y), None
 
-    def _commanded(self, flow: CompiledFlow, t: float, stop: float) -> Array:
+    def _commanded(self, flow: ModeFlow, t: float, stop: float) -> Array:
         """Return the parameters of a mode's flow from t to a stop, with held commands."""
         parameters = flow.parameters_between(t, stop)
-        forces, of_mode = self.plan.forces, flow.kernel.forces
+        forces, of_mode = self.plan.forces, flow.forces
         if forces is not None and of_mode is not None:
             numbers = parameters[flow.numbers_at]
             for (_, where), (_, target) in zip(forces.held, of_mode.held, strict=True):
@@ -652,7 +654,7 @@ class _Run:
         """Return the kinetic energy relative to the centre of mass [J]."""
         return float(self._reduction.split(x).kinetic_energy(xdot, xi))
 
-    def _cling(self, flow: CompiledFlow, t: float, y: Array) -> float:
+    def _cling(self, flow: ModeFlow, t: float, y: Array) -> float:
         """Return the pull of a stop that counts as round-off [N·m | N]."""
         x, xdot, _ = flow.canonical_momenta(t, y)
         sample = flow.samples(np.array([t]), y[None], flow.parameters)
@@ -714,34 +716,37 @@ def _impact(t: float, contact: _Contact, impulse: Array, after: Array) -> Impact
     )
 
 
-def run_with_stops(plan: Plan, progress: Progress | None, again: Again) -> Trajectory:
-    """Return the trajectory of a plan whose scene has stops, with the compiled engine.
+def run_with_stops(
+    plan: Plan, progress: Progress | None, again: Again, engine: Engine = "compiled"
+) -> Trajectory:
+    """Return the trajectory of a plan whose scene has stops.
 
     Args:
         plan: The plan.
         progress: Called repeatedly with the completed fraction of the time, 0 to 1.
         again: Function that simulates the scene again; see Trajectory.
+        engine: Name of the engine.
     Returns:
         The trajectory.
     Raises:
         InputError: A prescribed joint runs into its stop.
         IntegrationError: The integrator cannot continue, or there are too many impacts.
     """
-    run = _Run(plan, progress)
+    with_stops = StopEngine.of(engine, plan)
+    run = _Run(plan, progress, with_stops)
     started = time.perf_counter()
     motion = run.motion()
     refuse_singular_loops(plan.system, motion)
     wall = time.perf_counter() - started - run.building  # kernels are built once
-    cost = Cost("compiled", plan.method.name, motion.steps, motion.evaluations, wall, plan.notices)
+    cost = Cost(engine, with_stops.method, motion.steps, motion.evaluations, wall, plan.notices)
     return trajectory_of_motion(plan, motion, cost, again)
 
 
-def refuse_with_stops(plan: Plan, engine: str, *, check: bool, checkpoint: bool) -> None:
+def refuse_with_stops(plan: Plan, *, check: bool, checkpoint: bool) -> None:
     """Reject options of a simulation that do not act together with stops.
 
     Args:
         plan: The plan of a scene with stops.
-        engine: Name of the engine.
         check: Whether steps are checked for skipped forces.
         checkpoint: Whether a checkpoint is written.
     Raises:
@@ -749,7 +754,6 @@ def refuse_with_stops(plan: Plan, engine: str, *, check: bool, checkpoint: bool)
     """
     method = plan.method
     refused = {
-        "engine 'pinocchio'. Use the compiled engine": engine != "compiled",
         "checkpoint. Omit it": checkpoint,
         "check. Omit it": check,
         f"method {method.name}. Use DOP853, Tsit5 or auto": not isinstance(method, ErrorControl)
