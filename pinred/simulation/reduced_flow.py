@@ -86,7 +86,12 @@ class ModeFlow(ReducedFlow, Protocol):
             y: Its reduced state, (k,).
         """
 
-    def canonical_momenta(self, t: float, y: Array) -> tuple[Array, Array, Array]:
+    def within(self, start: float, stop: float) -> Self:
+        """Return the flow with the parameters for the time between two stops."""
+
+    def canonical_momenta(
+        self, t: float, y: Array, parameters: Array | None = None
+    ) -> tuple[Array, Array, Array]:
         """Return the shape, its rate, and its canonical momenta, from a reduced state (k,)."""
 
     def parameters_between(self, start: float, stop: float) -> Array:

@@ -140,19 +140,27 @@ class StoppedMotion(Motion):
     def impacts(self) -> ImpactTable:
         """The impacts."""
         impacts, momenta, flow, y = [], [], self._before, self._before.y0
+        parameters = flow.parameters
         for phase in self._phases:
             if phase.impact is not None:
                 t = np.array([phase.start])
-                states = [flow.states(t, y[None], flow.parameters)]
+                states = [flow.states(t, y[None], parameters)]
                 after = phase.flow
                 states.append(after.states(t, after.y0[None], after.parameters))
                 impacts.append(phase.impact)
                 momenta.append([momentum_of(state, flow.system) for state in states])
-            flow, y = phase.flow, phase.flow.y0
+            flow, y, parameters = phase.flow, phase.flow.y0, phase.flow.parameters
             for last in phase.segments[-1:]:
-                y = last.at(np.array([last.end]))[0]
+                y, parameters = last.at(np.array([last.end]))[0], last.parameters
         shape = len(impacts), 2, self._before.system.r
         return table_of(impacts, np.array(momenta).reshape(shape))
+
+    @property
+    def work_of_drives(self) -> tuple[Array, Array]:
+        """Times of the impacts, and the work of the drives in each; see Motion."""
+        impacts = [phase.impact for phase in self._phases if phase.impact is not None]
+        work = [impact.work_of_drives for impact in impacts]
+        return np.array([impact.t for impact in impacts]), np.array(work)
 
     @property
     def phases(self) -> Sequence[Phase]:
@@ -339,16 +347,18 @@ class _State:
         t: Time [s].
         flow: Flow that leads to this state.
         y: Reduced state, (k,).
+        parameters: Parameters of the flow at this time, (p,).
     """
 
     t: float
     flow: ModeFlow
     y: Array
+    parameters: Array
 
     @cached_property
     def values(self) -> tuple[Array, Array, Array]:
         """Shape, its rate, and its canonical momenta."""
-        return self.flow.canonical_momenta(self.t, self.y)
+        return self.flow.canonical_momenta(self.t, self.y, self.parameters)
 
 
 @dataclass(frozen=True)
@@ -377,7 +387,7 @@ class _Run:
         self.progress, self.system = progress, plan.system
         self._free = replace(self.scene, stops=None, events=())
         free_plan = self._limited(self._free)
-        self.first = engine.start(free_plan)
+        self.first = engine.start(free_plan).within(0.0, self._stop_after(0.0))
         integrate = engine.integrator(self.first, free_plan, progress)
         self._modes: dict[Rest, Mode] = {(): Mode((), self.bounds, self.first, integrate)}
         tree = self.system.open_tree()
@@ -412,7 +422,7 @@ class _Run:
         end, phases = self.scene.end, list[Phase]()
         x = self._free.start.x
         touching = [bound for bound in self.bounds if self._gap(bound, x) <= 0.0]
-        state = _State(0.0, self.first, self.first.y0)
+        state = _State(0.0, self.first, self.first.y0, self.first.parameters)
         phase = Phase(self._modes[()], 0.0, self.first, None)
         if touching:
             phase = self._resolve(state, (), touching, released=())
@@ -426,12 +436,13 @@ class _Run:
     def _follow(self, phase: Phase) -> tuple[_State, _StopSearch | None]:
         """Integrate a phase to the next impact or release; without a search, it ends the motion."""
         flow, mode, t, y = phase.flow, phase.mode, phase.start, phase.flow.y0
+        parameters = flow.parameters
         cling = self._cling(flow, t, y) if mode.rest else 0.0
         if self.watch is not None:
             self.watch.flow = flow
         while t < self.scene.end:
             stop = self._control.begin(
-                self._numbers, t, self._stop_after(t), partial(flow.sample, t, y, flow.parameters)
+                self._numbers, t, self._stop_after(t), partial(flow.sample, t, y, parameters)
             )
             own = read_only(self._numbers.copy())
             parameters = read_only(self._commanded(flow, t, stop))
@@ -448,7 +459,7 @@ class _Run:
                     "rest_rate, or loosen the tolerances"
                 )
             if not parts:  # A force that jumps, or another impact, acts on a joint at its stop.
-                return _State(t, flow, y), search
+                return _State(t, flow, y, parameters), search
             for part in parts:
                 ended = self.watch is not None and self.watch.look(part)
                 if ended and self.watch is not None and self.watch.end is not None:
@@ -456,14 +467,14 @@ class _Run:
                     cut = cut_at(t, part, mode.integrate)
                     phase.segments.extend(cut)
                     phase.numbers.extend([own] * len(cut))
-                    return _State(t, flow, y), None
+                    return _State(t, flow, y, parameters), None
                 phase.segments.append(part)
                 phase.numbers.append(own)
             t = parts[-1].end
             y = np.array(parts[-1].at(np.array([t]))[0])
             if is_hit:
-                return _State(t, flow, y), search
-        return _State(t, flow, y), None
+                return _State(t, flow, y, parameters), search
+        return _State(t, flow, y, parameters), None
 
     def _commanded(self, flow: ModeFlow, t: float, stop: float) -> Array:
         """Return the parameters of a mode's flow from t to a stop, with held commands."""
@@ -524,8 +535,12 @@ class _Run:
         rests = tuple(b for b, stays in zip(bounds, resting, strict=True) if stays)
         rates[[b.v for b in rests]] = 0.0
         new = self.mode(rests, x, rates)
-        flow = new.start.resumed(state.t, x, pi, state.flow, state.y)
+        within = new.start.within(state.t, self._stop_after(state.t))
+        flow = within.resumed(state.t, x, pi, state.flow, state.y)
         impact = _impact(state.t, contact, impulse, after)
+        if impact is not None:
+            lost = float(impact.energy_lost.sum())
+            impact = replace(impact, work_of_drives=self._work_of_drives(state, x, rates, lost))
         self._count(impact, state.t)
         return Phase(new, state.t, flow, impact)
 
@@ -638,13 +653,28 @@ class _Run:
 
     def _sample(self, state: _State, x: Array, xdot: Array) -> Sample:
         """Return the sample at a state with other rates of the shape and the same momentum."""
-        sample = state.flow.samples(np.array([state.t]), state.y[None], state.flow.parameters)
+        sample = state.flow.samples(np.array([state.t]), state.y[None], state.parameters)
         split = self._reduction.split(x)
         xi = sample.xi[0] + split.local_connection @ (sample.xdot[0] - xdot)
         base = sample.base
         if base is not None:
             base = replace(base, xi=base.xi + split.local_connection @ (sample.xdot[0] - xdot))
         return replace(sample, x=x[None], xdot=xdot[None], xi=xi[None], base=base)
+
+    def _work_of_drives(self, state: _State, x: Array, rates: Array, lost: float) -> float:
+        """Return the work that prescribed joints in motion do during an impact [J].
+
+        Args:
+            state: State before the impact.
+            x: Its shape, (nx,).
+            rates: Rates of the shape after the impact, (m,).
+            lost: Energy that the stops remove [J].
+        """
+        _, before, _ = state.values
+        if not before[list(self.plan.acting.driven)].any():
+            return 0.0
+        energies = [self._energy(x, v, self._sample(state, x, v).xi[0]) for v in (before, rates)]
+        return energies[1] - energies[0] + lost
 
     def _stop_after(self, t: float) -> float:
         later = self.plan.stops[self.plan.stops > t]
@@ -713,6 +743,7 @@ def _impact(t: float, contact: _Contact, impulse: Array, after: Array) -> Impact
         impulse=sign * impulse[rows] / ratio,
         rates=np.array([sign * u, sign * after[rows]]) * ratio,
         energy_lost=-0.5 * impulse[rows] * (u + after[rows]),
+        work_of_drives=0.0,
     )
 
 

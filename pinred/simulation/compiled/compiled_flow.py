@@ -142,16 +142,23 @@ class CompiledFlow:
         parameters[first : first + len(layout.constant_pi)] = pi[layout.constant_pi]
         return replace(self, y0=y0, parameters=parameters)
 
-    def canonical_momenta(self, t: float, y: Array) -> tuple[Array, Array, Array]:
+    def within(self, start: float, stop: float) -> CompiledFlow:
+        """Return the flow with the parameters for the time between two stops."""
+        return replace(self, parameters=self.parameters_between(start, stop))
+
+    def canonical_momenta(
+        self, t: float, y: Array, parameters: Array | None = None
+    ) -> tuple[Array, Array, Array]:
         """Return the shape, its rate, and its canonical momenta, from a reduced state (k,)."""
+        parameters = self.parameters if parameters is None else parameters
         layout, where = self.kernel.layout, self.kernel.where
         y = y[: layout.size]
-        outputs = self.kernel.evaluate_outputs(t, y, self.parameters, self.path)
+        outputs = self.kernel.evaluate_outputs(t, y, parameters, self.path)
         pi = np.empty(self.kernel.system.m)
         pi[list(layout.active)] = y[layout.pairs : layout.pairs + len(layout.active)]
         pi[layout.ball_pi] = y[layout.balls_at : layout.balls_at + len(layout.ball_pi)]
         first = layout.base.spin
-        pi[layout.constant_pi] = self.parameters[first : first + len(layout.constant_pi)]
+        pi[layout.constant_pi] = parameters[first : first + len(layout.constant_pi)]
         pi[list(layout.prescribed)] = outputs[where.driven_pi]
         return np.array(outputs[where.fields["x"]]), np.array(outputs[where.xdot]), pi
 

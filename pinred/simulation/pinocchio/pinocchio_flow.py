@@ -111,9 +111,17 @@ class PinocchioFlow:
         flow.y0 = self._reduced(x, pi, y[before._base_at :])
         return flow
 
-    def canonical_momenta(self, t: float, y: Array) -> tuple[Array, Array, Array]:
+    def within(self, start: float, stop: float) -> PinocchioFlow:
+        """Return the flow with the parameters for the time between two stops."""
+        flow = copy(self)
+        flow.parameters = self.parameters_between(start, stop)
+        return flow
+
+    def canonical_momenta(
+        self, t: float, y: Array, parameters: Array | None = None
+    ) -> tuple[Array, Array, Array]:
         """Return the shape, its rate, and its canonical momenta, from a reduced state (k,)."""
-        x, v = self._motion(t, y, self.parameters)
+        x, v = self._motion(t, y, self.parameters if parameters is None else parameters)
         r, pi = self.system.r, self._momentum(y)[self.system.r :]
         H = symmetric(self._form.mass_matrix(x))
         pi[self._driven] = (H[r:] @ v)[self._driven]
