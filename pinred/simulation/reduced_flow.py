@@ -86,9 +86,6 @@ class ModeFlow(ReducedFlow, Protocol):
             y: Its reduced state, (k,).
         """
 
-    def within(self, start: float, stop: float) -> Self:
-        """Return the flow with the parameters for the time between two stops."""
-
     def canonical_momenta(
         self, t: float, y: Array, parameters: Array | None = None
     ) -> tuple[Array, Array, Array]:

@@ -142,15 +142,16 @@ class StoppedMotion(Motion):
         impacts, momenta, flow, y = [], [], self._before, self._before.y0
         parameters = flow.parameters
         for phase in self._phases:
+            after, segments = phase.flow, phase.segments
+            first = segments[0].parameters if segments else after.parameters
             if phase.impact is not None:
                 t = np.array([phase.start])
                 states = [flow.states(t, y[None], parameters)]
-                after = phase.flow
-                states.append(after.states(t, after.y0[None], after.parameters))
+                states.append(after.states(t, after.y0[None], first))
                 impacts.append(phase.impact)
                 momenta.append([momentum_of(state, flow.system) for state in states])
-            flow, y, parameters = phase.flow, phase.flow.y0, phase.flow.parameters
-            for last in phase.segments[-1:]:
+            flow, y, parameters = after, after.y0, first
+            for last in segments[-1:]:
                 y, parameters = last.at(np.array([last.end]))[0], last.parameters
         shape = len(impacts), 2, self._before.system.r
         return table_of(impacts, np.array(momenta).reshape(shape))
@@ -387,7 +388,7 @@ class _Run:
         self.progress, self.system = progress, plan.system
         self._free = replace(self.scene, stops=None, events=())
         free_plan = self._limited(self._free)
-        self.first = engine.start(free_plan).within(0.0, self._stop_after(0.0))
+        self.first = engine.start(free_plan)
         integrate = engine.integrator(self.first, free_plan, progress)
         self._modes: dict[Rest, Mode] = {(): Mode((), self.bounds, self.first, integrate)}
         tree = self.system.open_tree()
@@ -436,8 +437,8 @@ class _Run:
     def _follow(self, phase: Phase) -> tuple[_State, _StopSearch | None]:
         """Integrate a phase to the next impact or release; without a search, it ends the motion."""
         flow, mode, t, y = phase.flow, phase.mode, phase.start, phase.flow.y0
-        parameters = flow.parameters
-        cling = self._cling(flow, t, y) if mode.rest else 0.0
+        parameters = flow.parameters_between(t, self._stop_after(t))
+        cling = self._cling(flow, t, y, parameters) if mode.rest else 0.0
         if self.watch is not None:
             self.watch.flow = flow
         while t < self.scene.end:
@@ -535,8 +536,7 @@ class _Run:
         rests = tuple(b for b, stays in zip(bounds, resting, strict=True) if stays)
         rates[[b.v for b in rests]] = 0.0
         new = self.mode(rests, x, rates)
-        within = new.start.within(state.t, self._stop_after(state.t))
-        flow = within.resumed(state.t, x, pi, state.flow, state.y)
+        flow = new.start.resumed(state.t, x, pi, state.flow, state.y)
         impact = _impact(state.t, contact, impulse, after)
         if impact is not None:
             lost = float(impact.energy_lost.sum())
@@ -684,11 +684,10 @@ class _Run:
         """Return the kinetic energy relative to the centre of mass [J]."""
         return float(self._reduction.split(x).kinetic_energy(xdot, xi))
 
-    def _cling(self, flow: ModeFlow, t: float, y: Array) -> float:
+    def _cling(self, flow: ModeFlow, t: float, y: Array, parameters: Array) -> float:
         """Return the pull of a stop that counts as round-off [N·m | N]."""
-        x, xdot, _ = flow.canonical_momenta(t, y)
-        sample = flow.samples(np.array([t]), y[None], flow.parameters)
-        return 2.0 * _CLINGING * self._energy(x, xdot, sample.xi[0])
+        sample = flow.sample(t, y, parameters)
+        return 2.0 * _CLINGING * self._energy(sample.x, sample.xdot, sample.xi)
 
     def _count(self, impact: Impact | None, t: float) -> None:
         self._impacts += impact is not None

@@ -202,9 +202,10 @@ def test_impacts_beside_a_prescribed_joint_in_motion_pass_the_comparison(
         np.testing.assert_allclose(column, momenta, rtol=0.0, atol=1e-13)
 
 
-def test_drive_of_a_joint_in_motion_does_work_at_an_impact() -> None:
+@pytest.mark.parametrize("signal", [SWING, "0.3*sin(5*t)"], ids=["spline", "formula"])
+def test_drive_of_a_joint_in_motion_does_work_at_an_impact(signal: Any) -> None:
     """The work is the impulse of the drive, by Pinocchio's mass matrix, times the joint's rate."""
-    traj = simulated(led(0.5, "0.3*sin(5*t)"), "compiled")
+    traj = simulated(led(0.5, signal), "compiled")
     times, work = traj.motion.work_of_drives
     before, after = traj(times), traj(np.nextafter(times, np.inf))
     model = CAT.model
@@ -219,6 +220,15 @@ def test_drive_of_a_joint_in_motion_does_work_at_an_impact() -> None:
     balance = traj.energy_balance
     assert balance.labels == ("prescribed joints", "joint stops")
     np.testing.assert_allclose(balance.residual, 0.0, atol=1e-11)
+
+
+def test_work_of_a_drive_at_the_start_is_no_part_of_the_balance() -> None:
+    """The first state of the balance is the one after an impact at the start."""
+    traj = simulated(led(0.5, "0.3*sin(5*t)") | {"x0": [0.0, 0.3, -0.2]}, "compiled")
+    times, work = traj.motion.work_of_drives
+    assert times[0] == 0.0
+    assert abs(work[0]) > 1e-5
+    np.testing.assert_allclose(traj.energy_balance.residual, 0.0, atol=1e-11)
 
 
 def test_controller_sees_a_prescribed_joint_in_the_segment_of_its_table() -> None:

@@ -142,10 +142,6 @@ class CompiledFlow:
         parameters[first : first + len(layout.constant_pi)] = pi[layout.constant_pi]
         return replace(self, y0=y0, parameters=parameters)
 
-    def within(self, start: float, stop: float) -> CompiledFlow:
-        """Return the flow with the parameters for the time between two stops."""
-        return replace(self, parameters=self.parameters_between(start, stop))
-
     def canonical_momenta(
         self, t: float, y: Array, parameters: Array | None = None
     ) -> tuple[Array, Array, Array]:

@@ -111,12 +111,6 @@ class PinocchioFlow:
         flow.y0 = self._reduced(x, pi, y[before._base_at :])
         return flow
 
-    def within(self, start: float, stop: float) -> PinocchioFlow:
-        """Return the flow with the parameters for the time between two stops."""
-        flow = copy(self)
-        flow.parameters = self.parameters_between(start, stop)
-        return flow
-
     def canonical_momenta(
         self, t: float, y: Array, parameters: Array | None = None
     ) -> tuple[Array, Array, Array]:
