@@ -222,6 +222,27 @@ def test_drive_of_a_joint_in_motion_does_work_at_an_impact(signal: Any) -> None:
     np.testing.assert_allclose(balance.residual, 0.0, atol=1e-11)
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+def test_rest_is_decided_with_the_state_of_the_motion_at_an_impact(
+    engine: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The twist that reactions depend on is the one before the impact, whatever the segment."""
+    seen, sample = [], run_with_stops._Run._sample
+
+    def kept(run: Any, state: Any, x: Array, xdot: Array) -> Any:
+        result = sample(run, state, x, xdot)
+        if np.array_equal(xdot, state.values[1]):
+            seen.append((state.t, result.xi[0]))
+        return result
+
+    monkeypatch.setattr(run_with_stops._Run, "_sample", kept)
+    traj = simulated(led(0.0), engine)
+    assert len({t for t, _ in seen} & {*traj.impacts.t}) == len(traj.impacts)
+    for t, xi in seen:
+        expected = traj.motion.samples(np.array([t]))[0].xi[0]
+        np.testing.assert_allclose(xi, expected, rtol=0.0, atol=1e-9)
+
+
 def test_work_of_a_drive_at_the_start_is_no_part_of_the_balance() -> None:
     """The first state of the balance is the one after an impact at the start."""
     traj = simulated(led(0.5, "0.3*sin(5*t)") | {"x0": [0.0, 0.3, -0.2]}, "compiled")
