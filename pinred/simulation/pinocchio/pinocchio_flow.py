@@ -58,13 +58,14 @@ class PinocchioFlow:
         self._driven_x = space.coordinates_of_joints(self._driven)
         self._free_x = space.coordinates_of(self._free)
         self._balls_at = 2 * len(self._free)
-        self._base_at = self._balls_at + 7 * len(self._ball_joints)
+        first = self._balls_at + 7 * len(self._ball_joints)
         self._potential = shape_gravity(system)
         self._weight = plan.acting.weight
         self._form = CanonicalForm(system, self._potential)
         self.parameters, self.numbers_at = plan.numbers, slice(None)
         self.clock = slice(0)
         self.base = base = Base(plan, start) if base is None else base
+        self._base_at = slice(first, first + base.parts.size)
         pi = start.mass_matrix[system.r :] @ np.concatenate([base.relative_twist0, start.xdot])
         self.y0 = self._reduced(start.x, pi, base.b0)
 
@@ -108,7 +109,7 @@ class PinocchioFlow:
             The flow.
         """
         flow = copy(self)
-        flow.y0 = self._reduced(x, pi, y[before._base_at :])
+        flow.y0 = self._reduced(x, pi, y[before._base_at])
         return flow
 
     def canonical_momenta(
@@ -143,7 +144,7 @@ class PinocchioFlow:
         numbers = self.parameters if numbers is None else numbers
         system, form, free, r = self.system, self._form, self._free, self.system.r
         k = system.group.linear
-        b = y[self._base_at :]
+        b = y[self._base_at]
         x, v = self._motion(t, y, numbers)
         com = form.com()
         pidot, moment, push = form.force(x, v), np.zeros(r - k), np.zeros(k)
@@ -173,7 +174,7 @@ class PinocchioFlow:
     def sample(self, t: float, y: Array, numbers: Array) -> Sample:
         """Return the state at time t that forces depend on."""
         x, v = self._motion(t, y, numbers)
-        r, b = self.system.r, y[self._base_at :]
+        r, b = self.system.r, y[self._base_at]
         base = self._in_space(t, b, x, v, self._form.com()) if self._wanted else None
         return Sample(x, v[r:], v[:r], self.base.momentum(b), self.base.body_weight(b), base)
 
@@ -206,7 +207,7 @@ class PinocchioFlow:
         """
         system, form = self.system, self._form
         r, T = system.r, len(t)
-        b = y[:, self._base_at :]
+        b = y[:, self._base_at]
         x, v, com = np.empty((T, system.nx)), np.empty((T, system.n)), np.empty((T, 3))
         energy, H = np.empty(T), np.empty((T, system.n, system.n))
         for k in range(T):
@@ -261,7 +262,7 @@ class PinocchioFlow:
         free, pi = self._free, np.zeros(self.system.m)
         pi[free] = y[len(free) : 2 * len(free)]
         pi[self._balls] = y[self._balls_at : self._balls_at + len(self._balls)]
-        return np.concatenate([self.base.momentum(y[self._base_at :]), pi])
+        return np.concatenate([self.base.momentum(y[self._base_at]), pi])
 
     def shape(self, t: float, y: Array, numbers: Array) -> Array:
         """Return the shape (nx,) of a reduced state, with quaternions of length one."""
@@ -273,7 +274,7 @@ class PinocchioFlow:
         """Return the shape (nx,) with the coordinates of the prescribed joints, if any."""
         x = np.empty(self.system.nx)
         x[self._free_x] = y[: len(self._free)]
-        x[self._balls_x] = y[self._balls_at + len(self._balls) : self._base_at]
+        x[self._balls_x] = y[self._balls_at + len(self._balls) : self._base_at.start]
         for joint in self._ball_joints:
             x[joint.x] /= np.linalg.norm(x[joint.x])
         if planned is not None:
@@ -282,7 +283,7 @@ class PinocchioFlow:
 
     def _quaternion_rates(self, y: Array, xdot: Array) -> list[Array]:
         """Return the rates ½ q σ of the quaternions of balls, of any length."""
-        quaternions = y[self._balls_at + len(self._balls) : self._base_at].reshape(-1, 4)
+        quaternions = y[self._balls_at + len(self._balls) : self._base_at.start].reshape(-1, 4)
         return [
             quaternion_rate(q, xdot[joint.v])
             for q, joint in zip(quaternions, self._ball_joints, strict=True)
