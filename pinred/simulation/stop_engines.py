@@ -22,14 +22,12 @@ class StopEngine:
     """What an engine contributes to a run with stops.
 
     Attributes:
-        name: Its name.
         method: Name of its method.
         degree: Degree of the method's dense output within a step.
         start: Function that returns the flow of a plan.
         integrator: Function from a flow, its plan and `progress` to the flow's integrator.
     """
 
-    name: Engine
     method: str
     degree: int
     start: Callable[[Plan], ModeFlow]
@@ -40,9 +38,9 @@ class StopEngine:
         """Return the engine for a plan; SciPy is imported for "pinocchio" only."""
         if name == "compiled":
             method, of_flow = plan.method, partial(integrator, chunk=_CHUNK)
-            return cls(name, method.name, method.order, CompiledFlow.of_plan, of_flow)
+            return cls(method.name, method.order, CompiledFlow.of_plan, of_flow)
         from .pinocchio.pinocchio_flow import PinocchioFlow
         from .pinocchio.scipy_integrator import DEGREE
         from .pinocchio.scipy_integrator import integrator as scipy_integrator
 
-        return cls(name, "DOP853", DEGREE, PinocchioFlow, scipy_integrator)
+        return cls("DOP853", DEGREE, PinocchioFlow, scipy_integrator)
