@@ -236,7 +236,7 @@ class StoppedFullState(FullState):
             parameters = self._parameters.copy()
             stop = self._replay.begin(parameters, t, stop, partial(self.sample, y))
             self.set_parameters(parameters)
-        if self._switches.size and self._forces is not None:
+        if self._forces is not None:
             self._forces.set_span(self._parameters, time_within(t, stop))
         return min(stop, end)
 

@@ -121,10 +121,7 @@ def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
     """
     forces, impacts = plan.forces, motion.impacts
     if impacts is not None:
-        # A report time at an impact has the state before it; that at the start, the one after it.
-        later = impacts.energy_lost * (impacts.t > 0.0)
-        lost = np.append(0.0, np.cumsum(later))
-        stopped = -lost[np.searchsorted(impacts.t, states.t, side="left")][:, None]
+        stopped = -_sum_before(impacts.t, impacts.energy_lost, states.t)[:, None]
     else:
         stopped = np.zeros((len(states.t), 0))
     of_stops = (_STOPS,) * stopped.shape[1]
@@ -142,8 +139,20 @@ def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
         power = np.sum(drive * full.xdot[:, list(forces.joints)], axis=1)
         return np.column_stack([powers, power])
 
-    work = np.hstack([_integral(motion, states.t, compute_powers), stopped])
+    work = _integral(motion, states.t, compute_powers)
+    if forces.joints:
+        work[:, -1] += _sum_before(*motion.work_of_drives, states.t)
+    work = np.hstack([work, stopped])
     return EnergyBalance(states.t, states.energy, (*labels, *of_stops), work)
+
+
+def _sum_before(times: Array, energies: Array, t: Array) -> Array:
+    """Return the sum of the energies (I,) of impacts at `times` (I,) before each time t, (T,).
+
+    A report time at an impact has the state before it; that at the start, the one after it.
+    """
+    sums = np.append(0.0, np.cumsum(energies * (times > 0.0)))
+    return np.asarray(sums[np.searchsorted(times, t, side="left")])
 
 
 def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalance:

@@ -101,6 +101,7 @@ class Impact:
         impulse: Impulses on the joints, (K,).
         rates: Rates before and after, (2, K).
         energy_lost: Energy that each impulse removes, (K,) [J].
+        work_of_drives: Work of the drives of prescribed joints during the impact [J].
     """
 
     t: float
@@ -109,6 +110,7 @@ class Impact:
     impulse: Array
     rates: Array
     energy_lost: Array
+    work_of_drives: float
 
 
 @checks_arguments

@@ -113,6 +113,11 @@ class Motion:
         return None
 
     @property
+    def work_of_drives(self) -> tuple[Array, Array]:
+        """Times of impacts, (I,) [s], and the work of prescribed joints in each, (I,) [J]."""
+        return np.empty(0), np.empty(0)
+
+    @property
     def modes(self) -> tuple[tuple[float, str], ...]:
         """Start time [s] and name of each mode; one without joint stops."""
         return ((0.0, "no joint at rest"),)

@@ -1,6 +1,6 @@
 """The interface of a reduced flow, and one segment of its integration.
 
-Two classes implement ReducedFlow: CompiledFlow and PinocchioFlow.
+Two classes implement ReducedFlow and ModeFlow: CompiledFlow and PinocchioFlow.
 """
 
 from __future__ import annotations
@@ -8,14 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 
 from ..common.arrays import Array
+from ..forces.force_model import ForceModel
 from ..integrators.run_keeper import RunKeeper
 from ..system.state_fields import ShapeState, State
 from ..system.system import System
+from .plan import Plan
 from .sample import Sample
 
 
@@ -49,6 +51,48 @@ class ReducedFlow(Protocol):
 
     def rates(self, t: Array, y: Array, parameters: Array) -> Array:
         """Return dy/dt, (T, k), at times (T,) and reduced states (T, k)."""
+
+
+class ModeFlow(ReducedFlow, Protocol):
+    """The flow of a run with joint stops, with some joints at rest at their stops."""
+
+    @property
+    def system(self) -> System:
+        """The system."""
+
+    @property
+    def forces(self) -> ForceModel | None:
+        """Forces besides gravity; None if there are none."""
+
+    @property
+    def numbers(self) -> Array:
+        """Force parameters, (p,)."""
+
+    @property
+    def position_entries(self) -> dict[int, int]:
+        """Entry of the reduced state for each hinge or slide that moves, by index of its rate."""
+
+    def in_mode(self, plan: Plan) -> Self:
+        """Return the flow of the same run with other prescribed joints, without a state."""
+
+    def resumed(self, t: float, x: Array, pi: Array, before: Self, y: Array) -> Self:
+        """Return the flow from a state at any time, with the base of another flow of the run.
+
+        Args:
+            t: Time [s].
+            x: Shape, (nx,) [rad | m | 1].
+            pi: Canonical momenta in the frame of the centre of mass, (m,).
+            before: Flow that provides the base.
+            y: Its reduced state, (k,).
+        """
+
+    def canonical_momenta(
+        self, t: float, y: Array, parameters: Array | None = None
+    ) -> tuple[Array, Array, Array]:
+        """Return the shape, its rate, and its canonical momenta, from a reduced state (k,)."""
+
+    def parameters_between(self, start: float, stop: float) -> Array:
+        """Return a copy of the parameters for the time between two stops."""
 
 
 @dataclass(frozen=True)

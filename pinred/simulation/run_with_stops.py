@@ -29,14 +29,13 @@ from ..integrators.methods import ErrorControl
 from ..reduction.inertia_split import symmetric
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..scene.input_formats import list_forces
-from ..scene.scene import Scene
+from ..scene.scene import Engine, Scene
 from ..scene.stop import BallBound, Bound
 from ..system.coordinates import Indices
 from ..system.loops.looped_system import loop_jacobian
 from ..system.state_fields import ShapeState, State
+from ..system.system import System
 from .balances import driving_torques
-from .compiled.compiled_flow import CompiledFlow
-from .compiled.integrator import integrator
 from .control import Control, ControlAction
 from .events import RootSearch, Watch, cut_at
 from .impacts import Impact, ImpactTable, impulses, solve_complementarity, table_of
@@ -44,12 +43,12 @@ from .integrate_plan import Again, trajectory_of_motion
 from .motion import Motion
 from .plan import Plan, plan_of
 from .polynomial_roots import bernstein, first_root
-from .reduced_flow import Integrate, ReducedFlow, Segment
+from .reduced_flow import Integrate, ModeFlow, ReducedFlow, Segment
 from .sample import Sample
 from .singular_loops import refuse_singular_loops
+from .stop_engines import StopEngine
 from .trajectory import Cost, Trajectory
 
-_CHUNK = 8  # Number of steps after which stops are first looked for.
 _ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # of a position, relative
 _LEAST_GAP = 1e-18  # Smallest margin of a gap, for stops at zero [rad | m].
 _CLINGING = 1e-14  # Pull of a stop that counts as round-off, per kinetic energy [1/rad | 1/m].
@@ -75,7 +74,7 @@ class Mode:
 
     rest: Rest
     moving: tuple[Bound, ...]
-    start: CompiledFlow
+    start: ModeFlow
     integrate: Integrate
 
     @property
@@ -101,7 +100,7 @@ class Phase:
 
     mode: Mode
     start: float
-    flow: CompiledFlow
+    flow: ModeFlow
     impact: Impact | None
     segments: list[Segment] = field(default_factory=list)
     numbers: list[Array] = field(default_factory=list)
@@ -117,7 +116,7 @@ class StoppedMotion(Motion):
     def __init__(
         self,
         phases: Sequence[Phase],
-        before: CompiledFlow,
+        before: ModeFlow,
         watch: Watch | None,
         actions: Sequence[ControlAction],
     ) -> None:
@@ -141,18 +140,28 @@ class StoppedMotion(Motion):
     def impacts(self) -> ImpactTable:
         """The impacts."""
         impacts, momenta, flow, y = [], [], self._before, self._before.y0
+        parameters = flow.parameters
         for phase in self._phases:
+            after, segments = phase.flow, phase.segments
+            first = segments[0].parameters if segments else after.parameters
             if phase.impact is not None:
                 t = np.array([phase.start])
-                states = [flow.states(t, y[None])]
-                states.append(phase.flow.states(t, phase.flow.y0[None]))
+                states = [flow.states(t, y[None], parameters)]
+                states.append(after.states(t, after.y0[None], first))
                 impacts.append(phase.impact)
-                momenta.append([momentum_of(state, self._before) for state in states])
-            flow, y = phase.flow, phase.flow.y0
-            for last in phase.segments[-1:]:
-                y = last.at(np.array([last.end]))[0]
-        shape = len(impacts), 2, self._before.kernel.system.r
+                momenta.append([momentum_of(state, flow.system) for state in states])
+            flow, y, parameters = after, after.y0, first
+            for last in segments[-1:]:
+                y, parameters = last.at(np.array([last.end]))[0], last.parameters
+        shape = len(impacts), 2, self._before.system.r
         return table_of(impacts, np.array(momenta).reshape(shape))
+
+    @property
+    def work_of_drives(self) -> tuple[Array, Array]:
+        """Times of the impacts, and the work of the drives in each; see Motion."""
+        impacts = [phase.impact for phase in self._phases if phase.impact is not None]
+        work = [impact.work_of_drives for impact in impacts]
+        return np.array([impact.t for impact in impacts]), np.array(work)
 
     @property
     def phases(self) -> Sequence[Phase]:
@@ -189,11 +198,11 @@ class StoppedMotion(Motion):
             yield tuple(bound.v for bound in self._of_segment[k].mode.rest), rows
 
 
-def momentum_of(state: State | ShapeState, flow: CompiledFlow) -> Array:
+def momentum_of(state: State | ShapeState, system: System) -> Array:
     """Return the spatial momentum (r,) of a single state; NaN if the base is left out."""
     if isinstance(state, State):
         return np.asarray(state.spatial_momentum[0])
-    return np.full(flow.kernel.system.r, np.nan)
+    return np.full(system.r, np.nan)
 
 
 class _StopSearch(RootSearch):
@@ -204,19 +213,20 @@ class _StopSearch(RootSearch):
     sampled like events.
     """
 
-    def __init__(self, plan: Plan, mode: Mode, flow: CompiledFlow, numbers: Array, cling: float):
+    def __init__(
+        self, plan: Plan, degree: int, mode: Mode, flow: ModeFlow, numbers: Array, cling: float
+    ) -> None:
         """Prepare the search from the start of a phase.
 
         Args:
             plan: The plan of the scene.
+            degree: Degree of the dense output within a step.
             mode: The mode.
             flow: Its flow.
             numbers: Force parameters of the scene, (p,).
             cling: Pull of a stop that counts as round-off.
         """
-        layout, bounds = flow.kernel.layout, mode.moving
-        at = {v: k for k, v in enumerate(layout.active)}
-        at |= {v: 2 * layout.pairs + k for k, v in enumerate(layout.cyclic)}
+        bounds, at = mode.moving, flow.position_entries
         self._polynomial = [k for k, bound in enumerate(bounds) if bound.v in at]
         self._driven = [k for k, bound in enumerate(bounds) if bound.v not in at]
         count = len(self._driven) + len(mode.rest)
@@ -228,7 +238,7 @@ class _StopSearch(RootSearch):
         positions = np.array([bound.position for bound in bounds])
         margins = np.array([margin_of(bound) for bound in bounds])
         self._offsets = margins - self._sides * positions
-        self._nodes, self._bernstein = bernstein(plan.method.order)
+        self._nodes, self._bernstein = bernstein(degree)
         self.found: list[tuple[float, Bound]] = []
 
     def look(self, segment: Segment) -> bool:
@@ -338,16 +348,18 @@ class _State:
         t: Time [s].
         flow: Flow that leads to this state.
         y: Reduced state, (k,).
+        parameters: Parameters of the flow at this time, (p,).
     """
 
     t: float
-    flow: CompiledFlow
+    flow: ModeFlow
     y: Array
+    parameters: Array
 
     @cached_property
     def values(self) -> tuple[Array, Array, Array]:
         """Shape, its rate, and its canonical momenta."""
-        return self.flow.canonical_momenta(self.t, self.y)
+        return self.flow.canonical_momenta(self.t, self.y, self.parameters)
 
 
 @dataclass(frozen=True)
@@ -370,13 +382,14 @@ class _Contact:
 class _Run:
     """One run with stops."""
 
-    def __init__(self, plan: Plan, progress: Progress | None) -> None:
+    def __init__(self, plan: Plan, progress: Progress | None, engine: StopEngine) -> None:
+        self._engine = engine
         self.plan, self.scene, self.bounds = plan, plan.scene, plan.scene.bounds
         self.progress, self.system = progress, plan.system
         self._free = replace(self.scene, stops=None, events=())
         free_plan = self._limited(self._free)
-        self.first = CompiledFlow.of_plan(free_plan)
-        integrate = integrator(self.first, free_plan, progress, chunk=_CHUNK)
+        self.first = engine.start(free_plan)
+        integrate = engine.integrator(self.first, free_plan, progress)
         self._modes: dict[Rest, Mode] = {(): Mode((), self.bounds, self.first, integrate)}
         tree = self.system.open_tree()
         self._reduction = tree.workspace(PointwiseReduction, lambda: PointwiseReduction(tree))
@@ -400,7 +413,7 @@ class _Run:
             plan = self._limited(locked_scene(self._free, rest, x, xdot))
             flow = self.first.in_mode(plan)
             moving = tuple(bound for bound in self.bounds if bound.v not in locked)
-            integrate = integrator(flow, plan, self.progress, chunk=_CHUNK)
+            integrate = self._engine.integrator(flow, plan, self.progress)
             mode = self._modes[rest] = Mode(rest, moving, flow, integrate)
             self.building += time.perf_counter() - began
         return mode
@@ -410,7 +423,7 @@ class _Run:
         end, phases = self.scene.end, list[Phase]()
         x = self._free.start.x
         touching = [bound for bound in self.bounds if self._gap(bound, x) <= 0.0]
-        state = _State(0.0, self.first, self.first.y0)
+        state = _State(0.0, self.first, self.first.y0, self.first.parameters)
         phase = Phase(self._modes[()], 0.0, self.first, None)
         if touching:
             phase = self._resolve(state, (), touching, released=())
@@ -424,16 +437,17 @@ class _Run:
     def _follow(self, phase: Phase) -> tuple[_State, _StopSearch | None]:
         """Integrate a phase to the next impact or release; without a search, it ends the motion."""
         flow, mode, t, y = phase.flow, phase.mode, phase.start, phase.flow.y0
-        cling = self._cling(flow, t, y) if mode.rest else 0.0
+        parameters = flow.parameters_between(t, self._stop_after(t))
+        cling = self._cling(flow, t, y, parameters) if mode.rest else 0.0
         if self.watch is not None:
             self.watch.flow = flow
         while t < self.scene.end:
             stop = self._control.begin(
-                self._numbers, t, self._stop_after(t), partial(flow.sample, t, y)
+                self._numbers, t, self._stop_after(t), partial(flow.sample, t, y, parameters)
             )
             own = read_only(self._numbers.copy())
             parameters = read_only(self._commanded(flow, t, stop))
-            search = _StopSearch(self.plan, mode, flow, own, cling)
+            search = _StopSearch(self.plan, self._engine.degree, mode, flow, own, cling)
             segment = mode.integrate(t, stop, read_only(y), parameters, search.look)
             is_hit = search.look(segment)
             parts = cut_at(search.found[0][0], segment, mode.integrate) if is_hit else [segment]
@@ -446,7 +460,7 @@ class _Run:
                     "rest_rate, or loosen the tolerances"
                 )
             if not parts:  # A force that jumps, or another impact, acts on a joint at its stop.
-                return _State(t, flow, y), search
+                return _State(t, flow, y, parameters), search
             for part in parts:
                 ended = self.watch is not None and self.watch.look(part)
                 if ended and self.watch is not None and self.watch.end is not None:
@@ -454,19 +468,19 @@ class _Run:
                     cut = cut_at(t, part, mode.integrate)
                     phase.segments.extend(cut)
                     phase.numbers.extend([own] * len(cut))
-                    return _State(t, flow, y), None
+                    return _State(t, flow, y, parameters), None
                 phase.segments.append(part)
                 phase.numbers.append(own)
             t = parts[-1].end
             y = np.array(parts[-1].at(np.array([t]))[0])
             if is_hit:
-                return _State(t, flow, y), search
-        return _State(t, flow, y), None
+                return _State(t, flow, y, parameters), search
+        return _State(t, flow, y, parameters), None
 
-    def _commanded(self, flow: CompiledFlow, t: float, stop: float) -> Array:
+    def _commanded(self, flow: ModeFlow, t: float, stop: float) -> Array:
         """Return the parameters of a mode's flow from t to a stop, with held commands."""
         parameters = flow.parameters_between(t, stop)
-        forces, of_mode = self.plan.forces, flow.kernel.forces
+        forces, of_mode = self.plan.forces, flow.forces
         if forces is not None and of_mode is not None:
             numbers = parameters[flow.numbers_at]
             for (_, where), (_, target) in zip(forces.held, of_mode.held, strict=True):
@@ -524,6 +538,9 @@ class _Run:
         new = self.mode(rests, x, rates)
         flow = new.start.resumed(state.t, x, pi, state.flow, state.y)
         impact = _impact(state.t, contact, impulse, after)
+        if impact is not None:
+            lost = float(impact.energy_lost.sum())
+            impact = replace(impact, work_of_drives=self._work_of_drives(state, x, rates, lost))
         self._count(impact, state.t)
         return Phase(new, state.t, flow, impact)
 
@@ -636,13 +653,28 @@ class _Run:
 
     def _sample(self, state: _State, x: Array, xdot: Array) -> Sample:
         """Return the sample at a state with other rates of the shape and the same momentum."""
-        sample = state.flow.samples(np.array([state.t]), state.y[None], state.flow.parameters)
+        sample = state.flow.samples(np.array([state.t]), state.y[None], state.parameters)
         split = self._reduction.split(x)
         xi = sample.xi[0] + split.local_connection @ (sample.xdot[0] - xdot)
         base = sample.base
         if base is not None:
             base = replace(base, xi=base.xi + split.local_connection @ (sample.xdot[0] - xdot))
         return replace(sample, x=x[None], xdot=xdot[None], xi=xi[None], base=base)
+
+    def _work_of_drives(self, state: _State, x: Array, rates: Array, lost: float) -> float:
+        """Return the work that prescribed joints in motion do during an impact [J].
+
+        Args:
+            state: State before the impact.
+            x: Its shape, (nx,).
+            rates: Rates of the shape after the impact, (m,).
+            lost: Energy that the stops remove [J].
+        """
+        _, before, _ = state.values
+        if not before[list(self.plan.acting.driven)].any():
+            return 0.0
+        energies = [self._energy(x, v, self._sample(state, x, v).xi[0]) for v in (before, rates)]
+        return energies[1] - energies[0] + lost
 
     def _stop_after(self, t: float) -> float:
         later = self.plan.stops[self.plan.stops > t]
@@ -652,11 +684,10 @@ class _Run:
         """Return the kinetic energy relative to the centre of mass [J]."""
         return float(self._reduction.split(x).kinetic_energy(xdot, xi))
 
-    def _cling(self, flow: CompiledFlow, t: float, y: Array) -> float:
+    def _cling(self, flow: ModeFlow, t: float, y: Array, parameters: Array) -> float:
         """Return the pull of a stop that counts as round-off [N·m | N]."""
-        x, xdot, _ = flow.canonical_momenta(t, y)
-        sample = flow.samples(np.array([t]), y[None], flow.parameters)
-        return 2.0 * _CLINGING * self._energy(x, xdot, sample.xi[0])
+        sample = flow.sample(t, y, parameters)
+        return 2.0 * _CLINGING * self._energy(sample.x, sample.xdot, sample.xi)
 
     def _count(self, impact: Impact | None, t: float) -> None:
         self._impacts += impact is not None
@@ -711,37 +742,41 @@ def _impact(t: float, contact: _Contact, impulse: Array, after: Array) -> Impact
         impulse=sign * impulse[rows] / ratio,
         rates=np.array([sign * u, sign * after[rows]]) * ratio,
         energy_lost=-0.5 * impulse[rows] * (u + after[rows]),
+        work_of_drives=0.0,
     )
 
 
-def run_with_stops(plan: Plan, progress: Progress | None, again: Again) -> Trajectory:
-    """Return the trajectory of a plan whose scene has stops, with the compiled engine.
+def run_with_stops(
+    plan: Plan, progress: Progress | None, again: Again, engine: Engine = "compiled"
+) -> Trajectory:
+    """Return the trajectory of a plan whose scene has stops.
 
     Args:
         plan: The plan.
         progress: Called repeatedly with the completed fraction of the time, 0 to 1.
         again: Function that simulates the scene again; see Trajectory.
+        engine: Name of the engine.
     Returns:
         The trajectory.
     Raises:
         InputError: A prescribed joint runs into its stop.
         IntegrationError: The integrator cannot continue, or there are too many impacts.
     """
-    run = _Run(plan, progress)
+    with_stops = StopEngine.of(engine, plan)
+    run = _Run(plan, progress, with_stops)
     started = time.perf_counter()
     motion = run.motion()
     refuse_singular_loops(plan.system, motion)
     wall = time.perf_counter() - started - run.building  # kernels are built once
-    cost = Cost("compiled", plan.method.name, motion.steps, motion.evaluations, wall, plan.notices)
+    cost = Cost(engine, with_stops.method, motion.steps, motion.evaluations, wall, plan.notices)
     return trajectory_of_motion(plan, motion, cost, again)
 
 
-def refuse_with_stops(plan: Plan, engine: str, *, check: bool, checkpoint: bool) -> None:
+def refuse_with_stops(plan: Plan, *, check: bool, checkpoint: bool) -> None:
     """Reject options of a simulation that do not act together with stops.
 
     Args:
         plan: The plan of a scene with stops.
-        engine: Name of the engine.
         check: Whether steps are checked for skipped forces.
         checkpoint: Whether a checkpoint is written.
     Raises:
@@ -749,7 +784,6 @@ def refuse_with_stops(plan: Plan, engine: str, *, check: bool, checkpoint: bool)
     """
     method = plan.method
     refused = {
-        "engine 'pinocchio'. Use the compiled engine": engine != "compiled",
         "checkpoint. Omit it": checkpoint,
         "check. Omit it": check,
         f"method {method.name}. Use DOP853, Tsit5 or auto": not isinstance(method, ErrorControl)

@@ -155,9 +155,10 @@ def _simulated(
     if plan.scene.bounds:
         from .run_with_stops import refuse_with_stops, run_with_stops
 
-        expect_integration(plan.method)
-        refuse_with_stops(plan, engine, check=check, checkpoint=checkpoint is not None)
-        run = partial(run_with_stops, progress=progress, again=again)
+        if engine == "compiled":
+            expect_integration(plan.method)
+        refuse_with_stops(plan, check=check, checkpoint=checkpoint is not None)
+        run = partial(run_with_stops, progress=progress, again=again, engine=engine)
     elif engine == "compiled":
         expect_integration(plan.method)  # before the kernels are imported
         from .compiled.run_compiled import run_compiled

@@ -398,7 +398,6 @@ def test_bad_arguments_of_a_stop_are_refused() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"engine": "pinocchio"}, "engine"),
         ({"check": True}, "check"),
         ({"method": "Gauss(0.01, 8)"}, "method"),
         ({"checkpoint": "run.ckpt"}, "checkpoint"),

@@ -193,7 +193,6 @@ def test_validation_of_a_file_refuses_what_the_run_would_refuse(
     """`pinred run --validate` has the errors of the run without running it."""
     file = tmp_path / "scene.toml"
     for line, words in (
-        ('engine = "pinocchio"', "engine 'pinocchio'"),
         ("check = true", "check"),
         ('method = "Gauss(0.01, 8)"', "method Gauss8"),
         ('checkpoint = "run.ckpt"', "checkpoint"),

@@ -10,6 +10,7 @@ import numpy as np
 from ...common.arrays import Array, read_only
 from ...common.errors import InputError
 from ...common.memo import once, recent
+from ...forces.force_model import ForceModel
 from ...forces.force_numbers import SpanNumbers
 from ...forces.force_values import BaseInSpace
 from ...forces.switch_times import time_within
@@ -29,7 +30,7 @@ from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
 from ...system.coordinates import Indices
 from ...system.state_fields import ShapeState, State
-from ...system.system import nominal
+from ...system.system import System, nominal
 from ..plan import NO_DIFFERENCES, MemberParameters, Plan
 from ..reduced_flow import entry_name
 from ..sample import Sample
@@ -141,18 +142,38 @@ class CompiledFlow:
         parameters[first : first + len(layout.constant_pi)] = pi[layout.constant_pi]
         return replace(self, y0=y0, parameters=parameters)
 
-    def canonical_momenta(self, t: float, y: Array) -> tuple[Array, Array, Array]:
+    def canonical_momenta(
+        self, t: float, y: Array, parameters: Array | None = None
+    ) -> tuple[Array, Array, Array]:
         """Return the shape, its rate, and its canonical momenta, from a reduced state (k,)."""
+        parameters = self.parameters if parameters is None else parameters
         layout, where = self.kernel.layout, self.kernel.where
         y = y[: layout.size]
-        outputs = self.kernel.evaluate_outputs(t, y, self.parameters, self.path)
+        outputs = self.kernel.evaluate_outputs(t, y, parameters, self.path)
         pi = np.empty(self.kernel.system.m)
         pi[list(layout.active)] = y[layout.pairs : layout.pairs + len(layout.active)]
         pi[layout.ball_pi] = y[layout.balls_at : layout.balls_at + len(layout.ball_pi)]
         first = layout.base.spin
-        pi[layout.constant_pi] = self.parameters[first : first + len(layout.constant_pi)]
+        pi[layout.constant_pi] = parameters[first : first + len(layout.constant_pi)]
         pi[list(layout.prescribed)] = outputs[where.driven_pi]
         return np.array(outputs[where.fields["x"]]), np.array(outputs[where.xdot]), pi
+
+    @property
+    def system(self) -> System:
+        """The system."""
+        return self.kernel.system
+
+    @property
+    def forces(self) -> ForceModel | None:
+        """Forces besides gravity; None if there are none."""
+        return self.kernel.forces
+
+    @property
+    def position_entries(self) -> dict[int, int]:
+        """Entry of the reduced state for each hinge or slide that moves, by index of its rate."""
+        layout = self.kernel.layout
+        entries = {v: k for k, v in enumerate(layout.active)}
+        return entries | {v: 2 * layout.pairs + k for k, v in enumerate(layout.cyclic)}
 
     @property
     def numbers_at(self) -> slice:

@@ -7,11 +7,14 @@ momenta and quaternions of balls come before b.
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...forces.force_values import BaseInSpace, ForceInputs
+from ...forces.switch_times import time_within
 from ...reduction.base_parts import quaternion_rate
 from ...reduction.canonical_form import CanonicalForm
 from ...reduction.inertia_split import symmetric
@@ -32,13 +35,20 @@ class PinocchioFlow:
         numbers_at: Indices of the force parameters among `parameters`, which has no others.
         clock: Index of the time in a reduced state; empty, because the time is not integrated.
         base: The motion of the base.
+        system: The system.
+        forces: Forces besides gravity; None if there are none.
     """
 
-    def __init__(self, plan: Plan) -> None:
-        """Set up the flow of a plan from its initial state."""
+    def __init__(self, plan: Plan, base: Base | None = None) -> None:
+        """Set up the flow of a plan from its initial state.
+
+        Args:
+            plan: The plan.
+            base: The motion of the base; None for that from the initial state.
+        """
         system, start = plan.system, plan.scene.start
-        self._system, self._wanted = system, plan.wanted
-        self._forces = forces = plan.forces
+        self.system, self._wanted = system, plan.wanted
+        self.forces = forces = plan.forces
         self._seen = forces is not None and (forces.sees_attitude or forces.sees_place)
         space, self._driven = system.space, list(plan.acting.driven)
         self._ball_joints = [j for j in space.balls if j.v.start not in self._driven]
@@ -48,16 +58,81 @@ class PinocchioFlow:
         self._driven_x = space.coordinates_of_joints(self._driven)
         self._free_x = space.coordinates_of(self._free)
         self._balls_at = 2 * len(self._free)
-        self._base_at = self._balls_at + 7 * len(self._ball_joints)
+        first = self._balls_at + 7 * len(self._ball_joints)
         self._potential = shape_gravity(system)
         self._weight = plan.acting.weight
         self._form = CanonicalForm(system, self._potential)
         self.parameters, self.numbers_at = plan.numbers, slice(None)
         self.clock = slice(0)
-        self.base = base = Base(plan, start)
+        self.base = base = Base(plan, start) if base is None else base
+        self._base_at = slice(first, first + base.parts.size)
         pi = start.mass_matrix[system.r :] @ np.concatenate([base.relative_twist0, start.xdot])
-        columns = [start.x[self._free_x], pi[self._free]]
-        self.y0 = np.concatenate([*columns, pi[self._balls], start.x[self._balls_x], base.b0])
+        self.y0 = self._reduced(start.x, pi, base.b0)
+
+    @property
+    def numbers(self) -> Array:
+        """Force parameters, (p,)."""
+        return self.parameters
+
+    @property
+    def position_entries(self) -> dict[int, int]:
+        """Entry of the reduced state for each hinge or slide that moves, by index of its rate."""
+        return {v: k for k, v in enumerate(self._free)}
+
+    def in_mode(self, plan: Plan) -> PinocchioFlow:
+        """Return the flow of the same run with other prescribed joints, without a state.
+
+        Args:
+            plan: Plan of the run's scene with other prescribed joints.
+        Returns:
+            The flow. Its base has the same constant momentum and centre-of-mass path.
+        """
+        return PinocchioFlow(plan, self.base)
+
+    def resumed(
+        self,
+        t: float,  # noqa: ARG002
+        x: Array,
+        pi: Array,
+        before: PinocchioFlow,
+        y: Array,
+    ) -> PinocchioFlow:
+        """Return the flow from a state at any time, with the base of another flow of the run.
+
+        Args:
+            t: Time [s].
+            x: Shape, (nx,) [rad | m | 1].
+            pi: Canonical momenta in the frame of the centre of mass, (m,).
+            before: Flow that provides the base.
+            y: Its reduced state, (k,).
+        Returns:
+            The flow.
+        """
+        flow = copy(self)
+        flow.y0 = self._reduced(x, pi, y[before._base_at])
+        return flow
+
+    def canonical_momenta(
+        self, t: float, y: Array, parameters: Array | None = None
+    ) -> tuple[Array, Array, Array]:
+        """Return the shape, its rate, and its canonical momenta, from a reduced state (k,)."""
+        x, v = self._motion(t, y, self.parameters if parameters is None else parameters)
+        r, pi = self.system.r, self._momentum(y)[self.system.r :]
+        H = symmetric(self._form.mass_matrix(x))
+        pi[self._driven] = (H[r:] @ v)[self._driven]
+        return x, v[r:], pi
+
+    def parameters_between(self, start: float, stop: float) -> Array:
+        """Return a copy of the parameters for the time between two stops."""
+        parameters = self.parameters.copy()
+        if self.forces is not None:
+            self.forces.set_span(parameters, time_within(start, stop))
+        return parameters
+
+    def _reduced(self, x: Array, pi: Array, b: Array) -> Array:
+        """Return the reduced state, (k,), from shape, canonical momenta and base variables."""
+        columns = [x[self._free_x], pi[self._free], pi[self._balls], x[self._balls_x], b]
+        return np.concatenate(columns)
 
     def rates(self, t: Array, y: Array, numbers: Array) -> Array:
         """Return dy/dt (T, k) at times t (T,) of reduced states y (T, k)."""
@@ -67,21 +142,21 @@ class PinocchioFlow:
     def rate(self, t: float, y: Array, numbers: Array | None = None) -> Array:
         """Return dy/dt, (k,), with force parameters (p,); None for the initial parameters."""
         numbers = self.parameters if numbers is None else numbers
-        system, form, free, r = self._system, self._form, self._free, self._system.r
+        system, form, free, r = self.system, self._form, self._free, self.system.r
         k = system.group.linear
-        b = y[self._base_at :]
+        b = y[self._base_at]
         x, v = self._motion(t, y, numbers)
         com = form.com()
         pidot, moment, push = form.force(x, v), np.zeros(r - k), np.zeros(k)
         if system.closure is not None:
             pidot = pidot + form.loop_terms(x, v[r:], self._momentum(y), self._driven)
         slope = None
-        if self._forces is not None:
+        if self.forces is not None:
             mu = self.base.momentum(b)
             base = self._in_space(t, b, x, v, com) if self._seen else None
-            acting = self._forces.acting(ForceInputs(t, x, v[r:], v[:r], mu, numbers, base))
+            acting = self.forces.acting(ForceInputs(t, x, v[r:], v[:r], mu, numbers, base))
             pidot = pidot + acting.torque
-            if self._forces.has_wrench:
+            if self.forces.has_wrench:
                 push = acting.wrench[:k]
                 moment = system.group.about(com, acting.wrench)
                 slope = form.com_slope(x)
@@ -99,7 +174,7 @@ class PinocchioFlow:
     def sample(self, t: float, y: Array, numbers: Array) -> Sample:
         """Return the state at time t that forces depend on."""
         x, v = self._motion(t, y, numbers)
-        r, b = self._system.r, y[self._base_at :]
+        r, b = self.system.r, y[self._base_at]
         base = self._in_space(t, b, x, v, self._form.com()) if self._wanted else None
         return Sample(x, v[r:], v[:r], self.base.momentum(b), self.base.body_weight(b), base)
 
@@ -110,7 +185,7 @@ class PinocchioFlow:
 
     def _in_space(self, t: float, b: Array, x: Array, v: Array, com: Array) -> BaseInSpace:
         """Return the base in the fixed frame; v, (n,), is relative to the centre of mass."""
-        system, times = self._system, np.array([t])
+        system, times = self.system, np.array([t])
         r = system.r
         pose = self.base.pose(b[None], com[None], times)[0]
         xi = self.base.twist(b[None], v[None, :r], times)[0]
@@ -130,9 +205,9 @@ class PinocchioFlow:
         Raises:
             IntegrationError: A velocity is not finite.
         """
-        system, form = self._system, self._form
+        system, form = self.system, self._form
         r, T = system.r, len(t)
-        b = y[:, self._base_at :]
+        b = y[:, self._base_at]
         x, v, com = np.empty((T, system.nx)), np.empty((T, system.n)), np.empty((T, 3))
         energy, H = np.empty(T), np.empty((T, system.n, system.n))
         for k in range(T):
@@ -140,8 +215,8 @@ class PinocchioFlow:
             com[k] = form.com()
             H[k] = symmetric(form.mass_matrix(x[k]))
             energy[k] = 0.5 * v[k] @ H[k] @ v[k] + self._potential.value(x[k])
-            if self._forces is not None:
-                energy[k] += self._forces.potential(x[k], numbers)
+            if self.forces is not None:
+                energy[k] += self.forces.potential(x[k], numbers)
         if not np.isfinite(v).all():
             bad = t[~np.isfinite(v).all(axis=1)][0]
             raise IntegrationError(f"the motion of '{system.name}' is not finite at t = {bad:g} s")
@@ -175,31 +250,31 @@ class PinocchioFlow:
     def _motion(self, t: float, y: Array, numbers: Array) -> tuple[Array, Array]:
         """Return the shape (nx,) and v = (ξ, ẋ) relative to the centre of mass."""
         momentum = self._momentum(y)
-        if self._forces is None or not self._driven:
+        if self.forces is None or not self._driven:
             x = self._shape(y)
             return x, self._form.velocity(x, momentum)
-        planned = self._forces.prescribed(t, numbers)
+        planned = self.forces.prescribed(t, numbers)
         x = self._shape(y, planned.x)
         return x, self._form.driven_velocity(x, momentum, self._driven, planned.xdot)
 
     def _momentum(self, y: Array) -> Array:
         """Return (μ, π), (n,), of a reduced state, with zeros for prescribed joints."""
-        free, pi = self._free, np.zeros(self._system.m)
+        free, pi = self._free, np.zeros(self.system.m)
         pi[free] = y[len(free) : 2 * len(free)]
         pi[self._balls] = y[self._balls_at : self._balls_at + len(self._balls)]
-        return np.concatenate([self.base.momentum(y[self._base_at :]), pi])
+        return np.concatenate([self.base.momentum(y[self._base_at]), pi])
 
     def shape(self, t: float, y: Array, numbers: Array) -> Array:
         """Return the shape (nx,) of a reduced state, with quaternions of length one."""
-        if self._forces is None or not self._driven:
+        if self.forces is None or not self._driven:
             return self._shape(y)
-        return self._shape(y, self._forces.prescribed(t, numbers).x)
+        return self._shape(y, self.forces.prescribed(t, numbers).x)
 
     def _shape(self, y: Array, planned: Array | None = None) -> Array:
         """Return the shape (nx,) with the coordinates of the prescribed joints, if any."""
-        x = np.empty(self._system.nx)
+        x = np.empty(self.system.nx)
         x[self._free_x] = y[: len(self._free)]
-        x[self._balls_x] = y[self._balls_at + len(self._balls) : self._base_at]
+        x[self._balls_x] = y[self._balls_at + len(self._balls) : self._base_at.start]
         for joint in self._ball_joints:
             x[joint.x] /= np.linalg.norm(x[joint.x])
         if planned is not None:
@@ -208,7 +283,7 @@ class PinocchioFlow:
 
     def _quaternion_rates(self, y: Array, xdot: Array) -> list[Array]:
         """Return the rates ½ q σ of the quaternions of balls, of any length."""
-        quaternions = y[self._balls_at + len(self._balls) : self._base_at].reshape(-1, 4)
+        quaternions = y[self._balls_at + len(self._balls) : self._base_at.start].reshape(-1, 4)
         return [
             quaternion_rate(q, xdot[joint.v])
             for q, joint in zip(quaternions, self._ball_joints, strict=True)
@@ -216,4 +291,4 @@ class PinocchioFlow:
 
     def entry_name(self, entry: int) -> str:
         """Return the name of an entry of the reduced state, for messages."""
-        return entry_name(self._system, self._free, [], entry, driven=self._driven)
+        return entry_name(self.system, self._free, [], entry, driven=self._driven)

@@ -17,6 +17,7 @@ from ..reduced_flow import Integrate, Segment
 from .pinocchio_flow import PinocchioFlow
 
 MOST_STEPS = 1_000_000
+DEGREE = 7  # of the dense output of DOP853 within a step
 
 
 def integrator(

@@ -1,0 +1,46 @@
+"""What the engines contribute to a run with joint stops: flows and their integrators."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from ..common.progress import Progress
+from ..scene.scene import Engine
+from .compiled.compiled_flow import CompiledFlow
+from .compiled.integrator import integrator
+from .plan import Plan
+from .reduced_flow import Integrate, ModeFlow
+
+_CHUNK = 8  # Number of steps after which stops are first looked for.
+
+
+@dataclass(frozen=True)
+class StopEngine:
+    """What an engine contributes to a run with stops.
+
+    Attributes:
+        method: Name of its method.
+        degree: Degree of the method's dense output within a step.
+        start: Function that returns the flow of a plan.
+        integrator: Function from a flow, its plan and `progress` to the flow's integrator.
+    """
+
+    method: str
+    degree: int
+    start: Callable[[Plan], ModeFlow]
+    integrator: Callable[[Any, Plan, Progress | None], Integrate]
+
+    @classmethod
+    def of(cls, name: Engine, plan: Plan) -> StopEngine:
+        """Return the engine for a plan; SciPy is imported for "pinocchio" only."""
+        if name == "compiled":
+            method, of_flow = plan.method, partial(integrator, chunk=_CHUNK)
+            return cls(method.name, method.order, CompiledFlow.of_plan, of_flow)
+        from .pinocchio.pinocchio_flow import PinocchioFlow
+        from .pinocchio.scipy_integrator import DEGREE
+        from .pinocchio.scipy_integrator import integrator as scipy_integrator
+
+        return cls("DOP853", DEGREE, PinocchioFlow, scipy_integrator)
