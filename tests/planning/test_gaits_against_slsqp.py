@@ -19,7 +19,7 @@ STARTS = 10
 # Largest number of evaluations of all starts, which take about 1 ms, or 1.5 ms with three joints.
 MOST = {"three_rods": 9000, "purcell_swimmer": 9000, "falling_cat": 6000}
 LIMITS = {0.5: 2, 0.7: 3, 0.9: 2, 1.1: 3, 1.3: 2}  # limits of all joints [rad], and harmonics
-QUICK = ("three_rods-rotation-length-0.9", "three_rods-rotation-torque-0.5")
+QUICK = ("three_rods-rotation-length-0.9",)
 TASKS: dict[str, dict[str, dict[str, Any]]] = {
     "three_rods": {
         "rotation-length": {},

@@ -16,6 +16,7 @@ LIMITS = {"left_crank": (1.5, 2.5), "right_crank": (0.6, 1.5)}
 
 
 @pytest.mark.slow
+@pytest.mark.by_hand
 def test_best_gait_of_a_five_bar_equals_its_simulation() -> None:
     """The torques that the optimiser limits are those of the simulation, which ABA confirms."""
     model, loops = five_bar()

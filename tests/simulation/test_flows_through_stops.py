@@ -230,14 +230,14 @@ def assert_tree(seed: int) -> None:
     assert_derivatives(system, inputs, h=2e-5, tolerance=1e-6, **run)
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3])
 def test_random_trees_agree_with_differences(seed: int) -> None:
-    """A tree on SO(3) with followers and one on SE(3), both with joints that come to rest."""
+    """A tree on SO(3) with followers, whose joints come to rest."""
     assert_tree(seed)
 
 
 @pytest.mark.by_hand
-@pytest.mark.parametrize("seed", [k for k in range(40) if k not in (3, 4)])
+@pytest.mark.parametrize("seed", [k for k in range(40) if k != 3])
 def test_many_random_trees_agree_with_differences(seed: int) -> None:
     """Random trees on all groups."""
     assert_tree(seed)
