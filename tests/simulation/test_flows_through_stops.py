@@ -580,7 +580,8 @@ def test_motion_with_impacts_costs_at_most_thirty_percent_more_than_its_pieces(
     assert isinstance(traj.motion, StoppedMotion)
     times, pieces = [*traj.motion.impacts.times, duration], []
     for phase, end in zip(traj.motion.phases, times, strict=True):
-        at = phase.flow.states(np.array([phase.start]), phase.flow.y0[None])
+        flow = phase.flow
+        at = flow.states(np.array([phase.start]), flow.y0[None], flow.parameters)
         assert isinstance(at, State)
         state = {"x0": at.x[0], "xdot0": at.xdot[0], "xi0": at.xi[0], "pose0": at.pose[0]}
         pieces.append((state, end - phase.start))
