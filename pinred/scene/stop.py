@@ -16,7 +16,8 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import InputError
 from ..common.names import brief, listed, nearest, quoted
-from ..system.stated_limits import limits_of
+from ..system.merge_hinges import LIMITS as LIMITS_OF_HINGES
+from ..system.stated_limits import POSITION, limits_of
 from ..system.system import System
 from ..system.urdf_elements import UNLIMITED
 from .toml.schema import ByName, Either, Key, ListOf, Table, Text
@@ -503,6 +504,17 @@ def _stops_of_file(value: str, system: System) -> dict[str, Stop]:
     if value != FILE:
         raise InputError(
             f"stops: expected 'file', or {{joint: Stop or (lower, upper)}}, got {brief(value)}"
+        )
+    stated = {left.what: left.names for left in system.left_out}
+    balls = {joint.name for joint in system.tree.joints if joint.kind.is_ball}
+    bounded = [name for name in stated.get(POSITION, ()) if name in balls]
+    bounded += stated.get(LIMITS_OF_HINGES, ())
+    if bounded:
+        raise InputError(
+            f"stops: the file of '{system.name}' bounds {listed(list(map(quoted, bounded)), 4)} of "
+            "its balls, which cannot rest at stops, so 'file' would leave bounds out. State the "
+            "stops by joint, such as {joint: (lower, upper), ball: BallStop(angle=…, "
+            "restitution=…)}"
         )
     stops = {}
     for limit in limits_of(system):

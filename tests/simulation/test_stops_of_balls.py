@@ -199,3 +199,24 @@ def test_scene_file_takes_stops_of_balls(tmp_path: Path) -> None:
     file.write_text(file.read_text().replace("swing", "lower"))
     with pytest.raises(pinred.InputError, match=r"stops.*expected lower of a hinge"):
         pinred.load_scene(file)
+
+
+@pytest.mark.parametrize("bounded", [False, True])
+def test_stops_of_file_refuse_bounded_balls(tmp_path: Path, bounded: bool) -> None:
+    """The range of a ball in an MJCF file is not left out in silence; without it, all stops act."""
+    limits = 'limited="true" range="0 0.5"' if bounded else ""
+    text = f"""<mujoco><compiler angle="radian"/><default><geom contype="0" conaffinity="0"/>
+    </default><worldbody>
+    <body name="base"><freejoint/><geom size="0.2" mass="1"/>
+    <body name="arm" pos="0 0 0.3"><joint name="neck" type="ball" {limits}/>
+    <geom size="0.1" mass="0.5"/><body name="tip" pos="0 0 0.4">
+    <joint name="elbow" axis="0 1 0" limited="true" range="-0.2 0.2"/>
+    <geom size="0.1" mass="0.5" pos="0 0 0.2"/></body></body></body></worldbody></mujoco>"""
+    (tmp_path / "robot.xml").write_text(text, "utf-8")
+    robot = pinred.load(tmp_path / "robot.xml", gravity=(0, 0, 0))
+    options: dict[str, Any] = {"xdot0": [1.0, 0.0, 0.0, 1.0], "momentum": 0, "duration": 1.0}
+    if bounded:
+        with pytest.raises(pinred.InputError, match="bounds 'neck' of its balls"):
+            pinred.simulate(robot, stops="file", **options)
+    else:
+        assert len(pinred.simulate(robot, stops="file", **options).impacts)
