@@ -75,13 +75,13 @@ def _index(column: str | int, header: list[str], count: int, path: Path) -> int:
 
 
 def _cell(row: list[str], k: int, line: int, path: Path) -> float:
-    where = f"{quoted_path(path)}, line {line}, column {k}"
+    value = _float(row[k]) if k < len(row) else None
+    if value is not None and math.isfinite(value):
+        return value
+    where = f"{quoted_path(path)}, line {line}, column {k}"  # slow for each of 100,000 rows
     if k >= len(row):
         raise InputError(f"{where}: there are only {len(row)} columns")
-    value = _float(row[k])
-    if value is None or not math.isfinite(value):
-        raise InputError(f"{where}: must be a finite number, got {shown(row[k])}")
-    return value
+    raise InputError(f"{where}: must be a finite number, got {shown(row[k])}")
 
 
 def _float(cell: str) -> float | None:
