@@ -37,7 +37,7 @@ from .plan import Plan
 from .sample import Sample, map_samples
 
 _POINTS = 8  # Number of Gauss points in each step.
-_VANISHES = 1e-9  # Part of the largest component below which one is round-off.
+_ROUND_OFF = 16.0 * float(np.finfo(float).eps)  # of all components, relative to the largest one
 _RESOLVED = 1e-9  # highest Legendre terms of resolved steps, relative to the largest integrand
 _HALVINGS = 8  # largest number of times that a step is halved
 _ENTRIES = 2**18  # Number of entries of mass matrices that are in memory at once.
@@ -209,8 +209,8 @@ def _integral(motion: Motion, t: Array, integrand: Callable[[Array], Array]) -> 
         values = integrand(nodes.ravel()).reshape(*nodes.shape, -1)
         terms = np.einsum("spk,pn->snk", values, basis)
         largest = np.abs(values).max(axis=(0, 1), initial=0.0)
-        largest = np.maximum(largest, _VANISHES * largest.max(initial=0.0))
-        coarse = (np.abs(terms[:, -2:]) > _RESOLVED * largest).any(axis=(1, 2))
+        allowed = _RESOLVED * largest + _ROUND_OFF * largest.max(initial=0.0)
+        coarse = (np.abs(terms[:, -2:]) > allowed).any(axis=(1, 2))
         if not (halvings_left and coarse.any()):
             break
         ends = np.sort(np.concatenate([ends, middle[coarse]]))

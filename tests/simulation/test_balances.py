@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -170,3 +171,25 @@ def test_balance_is_right_where_no_step_is_ever_resolved(monkeypatch: pytest.Mon
     )
     balance = traj.energy_balance
     assert np.abs(balance.residual).max() < 1e-10 * np.abs(balance.energy).max()
+
+
+def test_components_of_round_off_are_not_resolved_and_small_ones_are() -> None:
+    """A moment that is round-off of a force has no smooth series, so halving steps is in vain."""
+    rng, counts = np.random.default_rng(0), []
+    motion: Any = SimpleNamespace(knots=np.array([0.0, 1.0]))
+    for small in (
+        lambda t: rng.uniform(-2e-15, 2e-15, len(t)),
+        lambda t: 2e-14 * np.sin(40.0 * t),
+    ):
+        calls: list[int] = []
+
+        def integrand(t: Array, small: Any = small, calls: list[int] = calls) -> Array:
+            calls.append(len(t))
+            return np.column_stack([np.ones(len(t)), small(t)])
+
+        found = _integral(motion, np.array([0.0, 1.0]), integrand)
+        np.testing.assert_allclose(found[:, 0], [0.0, 1.0], rtol=1e-14)
+        counts.append(len(calls))
+    assert counts[0] == 1
+    assert counts[1] > 1
+    assert found[1, 1] == pytest.approx(2e-14 * (1.0 - np.cos(40.0)) / 40.0, abs=1e-17)
