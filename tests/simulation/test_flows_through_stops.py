@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from ball_trees import ball_tree
+from ball_trees import ball_tree, joined_bodies
 from coupled_trees import make_case
 from hybrid_reference import HybridReference, stops_of
 from slides import bouncing_slide, pair_of_slides, slide_beside
@@ -23,7 +23,7 @@ from trees import random_model
 import pinred
 from pinred import Parameter
 from pinred.common.arrays import Array
-from pinred.forces import Torque
+from pinred.forces import ComputedTorque, Controller, Torque
 from pinred.scene.stop import changed_stops
 from pinred.simulation import run_with_stops
 from pinred.simulation.run_with_stops import StoppedMotion
@@ -553,6 +553,32 @@ def test_single_steps_and_lanes_are_refused() -> None:
         flow.step(0.01).linear(flow.scene.start)
     with pytest.raises(pinred.InputError, match="no SIMD lanes"):
         flow.propagator.outputs_of_many(np.zeros((2, 1)), np.zeros((2, 1)), None)
+
+
+@pytest.mark.parametrize(
+    ("force", "message"),
+    [
+        (ComputedTorque({"bend": 0.1, "sway": 0.0, "twist": 0.0}, 4.0, 1.0), "ComputedTorque"),
+        (Controller(lambda _: {"bend": 0.1}, period=0.1, joints=("bend",)), "Controller"),
+    ],
+    ids=["computed torque", "controller"],
+)
+def test_laws_that_depend_on_rest_are_refused(force: Any, message: str) -> None:
+    """Torques of these laws change when a joint comes to rest."""
+    with pytest.raises(pinred.InputError, match=f"flows with stops take no {message}"):
+        pinred.flow(
+            pinred.load("falling_cat"), xdot0=[1.0, 0.0, 0.0], duration=0.5, forces=[force],
+            stops={"bend": (-0.1, 0.1)}, wrt=["xdot0"],
+        )  # fmt: skip
+
+
+def test_stops_of_balls_are_refused() -> None:
+    """Flows know no saltation matrix of a ball."""
+    with pytest.raises(pinred.InputError, match="stops of hinges and slides, got one of ball"):
+        pinred.flow(
+            joined_bodies(), xdot0=[1.0, 0.0, 0.0], momentum=0, duration=0.5,
+            stops={"joint": pinred.BallStop(angle=0.3, restitution=0.5)}, wrt=["xdot0"],
+        )  # fmt: skip
 
 
 @pytest.mark.by_hand
