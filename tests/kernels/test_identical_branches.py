@@ -152,6 +152,21 @@ def test_limbs_of_different_lengths_are_joined(
         assert all(k < i for k, _ in link.parents)
 
 
+def test_limbs_on_balls_are_not_joined() -> None:
+    """Frames of balls are constants of the code, which limbs of different kinds do not share."""
+    rng, model = np.random.default_rng(1), pin.Model()
+    root = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+    model.appendBodyToJoint(root, inertia(rng), pin.SE3.Identity())
+    for limb, length in enumerate((3, 2)):
+        above = root
+        for k in range(length):
+            joint = pin.JointModelRX() if k else pin.JointModelSpherical()
+            above = model.addJoint(above, joint, placement(rng), f"{limb}.{k}")
+            model.appendBodyToJoint(above, inertia(rng), pin.SE3.Identity())
+    links = links_of(bodies_of(pinred.load(model)), Lanes(), ())
+    assert [len(link.lanes) for link in links] == [1] * 6
+
+
 @pytest.mark.by_hand
 @settings(max_examples=8)
 @given(groups, st.integers(2, 6), st.integers(1, 4), seeds, st.sampled_from(MADE))
