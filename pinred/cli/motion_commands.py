@@ -96,9 +96,9 @@ def run_run(arguments: argparse.Namespace) -> int:
     from ..scene.initial_state import large_angles
     from ..scene.toml.reader import read_scene_file
     from ..simulation.explain import explain
+    from ..simulation.over_time import FOLDERS, SUFFIXES
     from ..simulation.plan import plan_of
     from ..simulation.simulate import as_scene, simulate
-    from ..simulation.trajectory_files import FOLDERS, SUFFIXES
 
     file = read_scene_file(arguments.scene)
     if file.phases:
@@ -135,8 +135,8 @@ def _run_phases(arguments: argparse.Namespace, file: SceneFile) -> int:
     from ..common.files import check_path
     from ..simulation.contact.chain_file import run_phases
     from ..simulation.explain import explain
+    from ..simulation.over_time import FOLDERS, SUFFIXES
     from ..simulation.plan import plan_of
-    from ..simulation.trajectory_files import FOLDERS, SUFFIXES
 
     for name in ("parameters", "checkpoint"):
         if getattr(arguments, name):
@@ -260,8 +260,8 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     from ..common.files import check_path
+    from ..simulation.over_time import FOLDERS, SUFFIXES
     from ..simulation.simulate import simulate
-    from ..simulation.trajectory_files import FOLDERS, SUFFIXES
 
     path = check_path(arguments.out, SUFFIXES, folders=FOLDERS)
     scene = scene_of(arguments)

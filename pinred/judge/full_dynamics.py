@@ -17,7 +17,7 @@ from ..forces.force_values import BaseInSpace
 from ..kernels.pinocchio_terms import LoadsByPinocchio
 from ..scene.scene import Scene
 from ..simulation.plan import stops_of
-from ..simulation.sample import Sample
+from ..simulation.reduced_flow import Sample
 from ..system.system import System
 from .condition_times import condition_times
 from .coupling_constraints import CouplingConstraints

@@ -34,7 +34,7 @@ from ..system.state_fields import State, with_base
 from ..system.system import System
 from .motion import Motion
 from .plan import Plan
-from .sample import Sample, map_samples
+from .reduced_flow import Sample, map_samples
 
 _POINTS = 8  # Number of Gauss points in each step.
 _ROUND_OFF = 16.0 * float(np.finfo(float).eps)  # of all components, relative to the largest one

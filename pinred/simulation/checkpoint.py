@@ -1,33 +1,229 @@
 """Checkpoints: a simulation that is interrupted continues with the same bits.
 
-A file contains a record of each run of a simulation (see run_record.py), because functions of time
-that steps skip are integrated again with more stops.
+A file contains a record of each run of a simulation, because functions of time that steps skip are
+integrated again with more stops.  A record has the integrations from stop to stop, and the state of
+the run's followers: its controllers and events.
+
+Files hold nested values, signed with the user's key.  The compiled loops trust the registers of a
+run, and states of controllers are pickled.  Therefore only files with the user's own signature are
+used; see common/files.py.
 """
 
 from __future__ import annotations
 
+import hmac
 import json
+import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
-from ..common.errors import InputError
+from ..common.arrays import Array, read_only
+from ..common.errors import InputError, OutputError
+from ..common.files import TEMPORARY, check_path, fingerprint, is_file, signing_key, write_atomic
 from ..common.interrupts import cleaning_up, held_interrupt
 from ..common.names import quoted_path
 from ..common.object_cache import cache_key
+from ..common.packed_values import pack, unpack
+from ..integrators.run_keeper import SavedRun
 from ..kernels.build import model_bytes
-from .checkpoint_file import check_checkpoint_path, read_checkpoint, write_checkpoint
-from .run_record import RunRecord
 
 if TYPE_CHECKING:
     from .compiled.compiled_flow import CompiledFlow
     from .plan import Plan
+
+
+SUFFIX = ".ckpt"
+_MAGIC = b"pinred checkpoint 1\n"
+_LENGTH = struct.Struct("<Q")
+_SIGNATURE = 32  # bytes of the HMAC-SHA256 of all other bytes, at the end
+
+
+def check_checkpoint_path(path: str | Path) -> Path:
+    """Check that a checkpoint can be written at a path and read by a later process.
+
+    Args:
+        path: Name of the file.
+    Returns:
+        The path.
+    Raises:
+        OutputError: The signing key cannot be stored, so no other process could read the file.
+    """
+    checked = check_path(path, (SUFFIX,))
+    if fingerprint() == TEMPORARY:
+        raise OutputError(
+            "checkpoint: expected a data folder that keeps the signing key, so that a later "
+            "process can read the checkpoint. Make the home folder writable, or set XDG_DATA_HOME"
+        )
+    return checked
+
+
+def write_checkpoint(path: Path, content: dict[str, Any]) -> None:
+    """Write nested values atomically.
+
+    Args:
+        path: Name of the file.
+        content: The values; see common/packed_values.py.
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    data, buffers = pack(content)
+    head = json.dumps([data, [len(buffer) for buffer in buffers]]).encode()
+
+    def write(file: BinaryIO) -> None:
+        signature = hmac.new(signing_key(), digestmod="sha256")
+        for block in (_MAGIC, _LENGTH.pack(len(head)), head, *buffers):
+            signature.update(block)
+            file.write(block)
+        file.write(signature.digest())
+
+    write_atomic(path, write)
+
+
+def read_checkpoint(path: Path) -> dict[str, Any] | None:
+    """Read a checkpoint.
+
+    Args:
+        path: Name of the file.
+    Returns:
+        The values; None if there is no file.
+    Raises:
+        InputError: The file is not a complete checkpoint of this user.
+    """
+    if not is_file(path):
+        return None
+    try:
+        content = memoryview(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"checkpoint: cannot read {quoted_path(path)}: {error.strerror}") from None
+    if content[: len(_MAGIC)] != _MAGIC:
+        raise InputError(_refuse(path, "was not written as a checkpoint by this version of pinred"))
+    signed, signature = content[:-_SIGNATURE], content[-_SIGNATURE:]
+    if not hmac.compare_digest(signature, hmac.digest(signing_key(), signed, "sha256")):
+        why = "is truncated or damaged, or was written with the key of another data folder"
+        raise InputError(_refuse(path, why))
+    at = len(_MAGIC) + _LENGTH.size
+    (size,) = _LENGTH.unpack(signed[len(_MAGIC) : at])
+    data, lengths = json.loads(bytes(signed[at : at + size]))
+    at, buffers = at + size, []
+    for length in lengths:
+        buffers.append(signed[at : at + length])
+        at += length
+    values: dict[str, Any] = unpack(data, buffers)
+    return values
+
+
+def _refuse(path: Path, why: str) -> str:
+    return (
+        f"checkpoint: expected a checkpoint of this user, but {quoted_path(path)} {why}. Choose "
+        "another name, or delete the file to start again"
+    )
+
+
+@dataclass(frozen=True)
+class Part:
+    """An integration from one stop to the next.
+
+    Attributes:
+        start: Start time [s].
+        end: End time [s].
+        y0: Reduced state at the start, (k,).
+        parameters: Parameters of the vector field, (p,).
+        run: State of the integration; None if it has not begun.
+        follower: State of controllers and events at the start, or None.
+    """
+
+    start: float
+    end: float
+    y0: Array
+    parameters: Array
+    run: SavedRun | None = None
+    follower: Mapping[str, Any] | None = None
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the run of this part is finished."""
+        return self.run is not None and self.follower is None
+
+    @classmethod
+    def of(cls, saved: Mapping[str, Any]) -> Part:
+        """Return a saved part."""
+        part = cls(**saved)
+        # Arrays of files are writable, for which numba would compile another version.
+        return replace(part, y0=read_only(part.y0), parameters=read_only(part.parameters))
+
+
+class RunRecord:
+    """The record of one run; it keeps the integration of its last part (see RunKeeper).
+
+    Attributes:
+        finished: Finished parts, in order.
+        current: The saved part that is not finished, or None.
+        follower: State of controllers and events at the end of a finished run, or None.
+    """
+
+    def __init__(self, saved: Mapping[str, Any], write: Callable[..., None]) -> None:
+        """Read a record.
+
+        Args:
+            saved: The record as nested values; {} for a new run.
+            write: Function that writes the checkpoint if a save is due.
+        """
+        self.finished = [Part.of(part) for part in saved.get("finished", ())]
+        self.current = Part.of(saved["current"]) if saved.get("current") else None
+        self.follower: Mapping[str, Any] | None = saved.get("follower")
+        self._write, self._done = write, list(self.finished)
+        self._part: Part | None = None
+        self._follower: Callable[[], dict[str, Any]] = dict
+
+    def begin_run(self, follower: Callable[[], dict[str, Any]]) -> None:
+        """Set the function that returns the state of controllers and events.
+
+        Raises an InputError if they have a state that cannot be saved.
+        """
+        follower()
+        self._follower = follower
+
+    def begin(self, part: Part) -> None:
+        """Start a part; if its run is saved, it continues from there."""
+        self._part = part
+
+    def saved(self) -> SavedRun | None:
+        """Return the state from which the current part continues; see RunKeeper."""
+        assert self._part is not None
+        return self._part.run
+
+    def pause(self, state: Callable[[], dict[str, Any]]) -> None:
+        """Write the checkpoint if a save is due; see RunKeeper."""
+        part = self._part
+        assert part is not None
+        if part.is_finished:
+            return
+
+        def current() -> dict[str, Any]:
+            return vars(replace(part, run=state(), follower=self._follower()))
+
+        self._write(lambda: self._values(current()))
+
+    def finish(self, state: dict[str, Any]) -> None:
+        """Keep a finished part; see RunKeeper."""
+        assert self._part is not None
+        if not self._part.is_finished:
+            self._done.append(replace(self._part, run=state, follower=None))
+
+    def values(self) -> dict[str, Any]:
+        """Return the record of a finished run as nested values."""
+        return self._values(None) | {"follower": self._follower()}
+
+    def _values(self, current: dict[str, Any] | None) -> dict[str, Any]:
+        return {"finished": [dict(vars(part)) for part in self._done], "current": current}
+
 
 INTERVAL = 60.0  # time between saves [s]
 _SHARE = 20.0  # Saves take at most 1/20 of the time.

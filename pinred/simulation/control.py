@@ -23,7 +23,7 @@ from ..forces.switch_times import time_within
 from ..scene.scene import Scene
 from ..system.force_interface import SeenState
 from ..system.system import System
-from .sample import Sample
+from .reduced_flow import Sample
 
 # Times closer than this fraction of the duration count as equal.
 _ROUND_OFF = 1e-12

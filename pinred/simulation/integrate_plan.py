@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from ..scene.scene import Engine, Scene
+from .checkpoint import RunRecord
+from .closed_loops import refuse_singular_loops
 from .motion import Motion, follow
 from .plan import Plan
 from .reduced_flow import Integrate, ReducedFlow, Segments
-from .run_record import RunRecord
-from .singular_loops import refuse_singular_loops
 from .trajectory import Cost, Trajectory
 
 Again = Callable[[], Trajectory]

@@ -17,13 +17,12 @@ from ..common.arrays import Array, read_only
 from ..forces.switch_times import time_within
 from ..system.coordinates import Indices
 from ..system.state_fields import ShapeState, State, map_arrays
+from .checkpoint import Part, RunRecord
 from .control import Control, ControlAction, Replay
 from .events import Crossing, Watch, cut_at
 from .impacts import ImpactTable
 from .plan import Plan
-from .reduced_flow import Integrate, ReducedFlow, Segment, Segments
-from .run_record import Part, RunRecord
-from .sample import Sample, map_samples
+from .reduced_flow import Integrate, ReducedFlow, Sample, Segment, Segments, map_samples
 
 
 @dataclass(frozen=True)

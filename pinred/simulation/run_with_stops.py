@@ -36,16 +36,22 @@ from ..system.loops.looped_system import loop_jacobian
 from ..system.state_fields import ShapeState, State
 from ..system.system import System
 from .balances import driving_torques
+from .closed_loops import refuse_singular_loops
 from .control import Control, ControlAction
 from .events import RootSearch, Watch, cut_at
-from .impacts import Impact, ImpactTable, impulses, solve_complementarity, table_of
+from .impacts import (
+    Impact,
+    ImpactTable,
+    bernstein,
+    first_root,
+    impulses,
+    solve_complementarity,
+    table_of,
+)
 from .integrate_plan import Again, trajectory_of_motion
 from .motion import Motion
 from .plan import Plan, plan_of
-from .polynomial_roots import bernstein, first_root
-from .reduced_flow import Integrate, ModeFlow, ReducedFlow, Segment
-from .sample import Sample
-from .singular_loops import refuse_singular_loops
+from .reduced_flow import Integrate, ModeFlow, ReducedFlow, Sample, Segment
 from .stop_engines import StopEngine
 from .trajectory import Cost, Trajectory
 

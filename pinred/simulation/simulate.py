@@ -182,7 +182,7 @@ def _resolved(plan: Plan, run: Callable[[Plan], Trajectory], engine: Engine) -> 
     """Return the trajectory of a plan, with steps that resolve functions of time."""
     if not (plan.has_time_functions and plan.method.adaptive):
         return run(plan)
-    from .time_resolution import resolve
+    from .step_resolution import resolve
 
     return resolve(plan, run, engine)
 

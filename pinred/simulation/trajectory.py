@@ -220,7 +220,7 @@ class Trajectory(OverTime):
         They act at the origin of frame b, in the axes of frame a.  An InputError is raised if the
         scene leaves out the base.
         """
-        from .loop_forces import loop_forces
+        from .closed_loops import loop_forces
 
         return loop_forces(self.plan, self.states, *self.motion.samples(self.t))
 
@@ -308,6 +308,6 @@ class Trajectory(OverTime):
         Args:
             path: Path of the file; its suffix, .npz, .csv, .h5, .zarr or .xml, selects the format.
         """
-        from .trajectory_files import save
+        from .over_time import save
 
         save(self, path)

@@ -23,8 +23,7 @@ from pinred.forces import Command, Controller, Torque
 from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.run_state import LAYOUT
 from pinred.simulation import checkpoint as checkpoint_module
-from pinred.simulation.checkpoint import Checkpoint
-from pinred.simulation.checkpoint_file import read_checkpoint
+from pinred.simulation.checkpoint import Checkpoint, read_checkpoint
 from pinred.simulation.compiled import thinned_segments
 
 METHODS: list[Any] = [
@@ -267,7 +266,7 @@ def test_other_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         assert path.read_bytes() == data
     path.write_bytes(content)
     with monkeypatch.context() as patch:
-        patch.setattr("pinred.simulation.checkpoint_file.signing_key", lambda: b"0" * 32)
+        patch.setattr("pinred.simulation.checkpoint.signing_key", lambda: b"0" * 32)
         with pytest.raises(InputError, match="key of another data folder"):
             pinred.simulate(cat_scene(), checkpoint=path)
 

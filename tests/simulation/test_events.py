@@ -13,7 +13,7 @@ from pinred.common.arrays import Array
 from pinred.forces import Controller, Torque
 from pinred.scene.scene import ENGINES, Engine
 from pinred.simulation import events, motion
-from pinred.simulation.event_extrema import extremum_times
+from pinred.simulation.events import extremum_times
 
 BEANIE = pinred.load("elroys_beanie")
 W = np.sqrt(1.5)  # of x = sin(W t)/W: a spring of 1 N·m/rad on the shape's inertia 2/3

@@ -22,8 +22,7 @@ from pinred.common.errors import IntegrationError
 from pinred.forces import Torque
 from pinred.judge.verdict import Verdict
 from pinred.simulation import run_with_stops
-from pinred.simulation.impacts import impulses, solve_complementarity
-from pinred.simulation.polynomial_roots import bernstein, first_root
+from pinred.simulation.impacts import bernstein, first_root, impulses, solve_complementarity
 
 
 def reference_of(traj: pinred.Trajectory, torque: Any = None) -> HybridMotion:

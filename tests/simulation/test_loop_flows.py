@@ -14,8 +14,8 @@ from loop_robots import four_bar, random_loops
 import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import IntegrationError, UnsupportedOperationError
+from pinred.simulation.closed_loops import may_pass_singular_shape
 from pinred.simulation.flow_map.flow import Flow
-from pinred.simulation.singular_loops import may_pass_singular_shape
 
 PARALLELOGRAM = {"crank": 0.5, "coupler": 1.0, "rocker": 0.5, "frame": 1.0}
 FOLDED = {"crank": 2.0, "coupler": -2.0, "rocker": 2.0}

@@ -20,7 +20,7 @@ from pinred.common.arrays import Array
 from pinred.forces import Torque, time_functions
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Hold
-from pinred.simulation import step_limits, step_resolution, time_resolution
+from pinred.simulation import step_limits, step_resolution
 from pinred.simulation.flow_map import resolved_run
 from pinred.simulation.members import integrate_members
 from pinred.simulation.plan import plan_of
@@ -59,7 +59,7 @@ def never_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     def runs(_: StepLimits, __: tuple[float, float], run: Any, *___: Any) -> list[Any]:
         return [run(UNLIMITED)]
 
-    monkeypatch.setattr(time_resolution, "resolved_runs", runs)
+    monkeypatch.setattr(step_resolution, "resolved_runs", runs)
     monkeypatch.setattr(resolved_run, "resolved_runs", runs)
 
 
@@ -500,7 +500,7 @@ def test_step_in_the_flank_of_a_pulse_is_checked_again(monkeypatch: pytest.Monke
     expected = end_by_short_steps(pulse, seed=2, parameters=values)
     assert np.abs(pinred.simulate(options).x[-1] - expected).max() < 2e-10
     assert np.abs(pinred.simulate_many([options, options]).x[0, -1] - expected).max() < 2e-10
-    monkeypatch.setattr(time_resolution, "SHARES", (1.0,))
+    monkeypatch.setattr(step_resolution, "SHARES", (1.0,))
     assert np.abs(pinred.simulate(options).x[-1] - expected).max() > 1e-8
     monkeypatch.setattr(integrate_members, "_SHARE", 1.0)
     assert np.abs(pinred.simulate_many([options, options]).x[0, -1] - expected).max() > 1e-8
@@ -512,5 +512,5 @@ def test_sum_of_defects_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     options = scene(Torque(pulse), rtol=1e-10, atol=1e-12, seed=2, parameters=values)
     expected = end_by_short_steps(pulse, seed=2, parameters=values)
     assert np.abs(pinred.simulate(options).x[-1] - expected).max() < 2e-10
-    monkeypatch.setattr(time_resolution, "_DEFECT", 500.0)
+    monkeypatch.setattr(step_resolution, "_DEFECT", 500.0)
     assert np.abs(pinred.simulate(options).x[-1] - expected).max() > 2e-9

@@ -23,7 +23,7 @@ from ...common.names import quoted
 from ...kernels.connection.connection_code import ConnectionCode, Locals, Velocities
 from ...reduction.tree.body_frames import bodies_of
 from ...reduction.tree.loop_constraints import constraint_values, jacobian_function
-from ...simulation.singular_loops import refuse_singular_shapes
+from ...simulation.closed_loops import refuse_singular_shapes
 from ...system.loops.loop_assembly import describe_gap, loop_gaps, rate_units
 from ...system.system import System
 from ..gaits.gait import Gait

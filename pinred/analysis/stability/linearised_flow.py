@@ -26,7 +26,7 @@ from ...kernels.state_jacobian import jacobian_of
 from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
-from ...simulation.sample import Sample
+from ...simulation.reduced_flow import Sample
 from ...simulation.trajectory import Trajectory
 from ...system.state_fields import State
 from .reduced_state import Leaf, leaf_of, loop_gauge

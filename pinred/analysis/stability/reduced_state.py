@@ -29,7 +29,7 @@ from ...kernels.state_layout import Layout
 from ...reduction.base_parts import BaseParts
 from ...reduction.inertia_split import mass_matrix, usual_inertias
 from ...reduction.tree.loop_constraints import GAUGE_RATE
-from ...simulation.sample import Sample
+from ...simulation.reduced_flow import Sample
 from ...system.joints import BALL
 from ...system.loops.looped_system import loop_jacobian, loop_jacobian_rate
 from ...system.system import System

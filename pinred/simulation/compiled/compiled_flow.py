@@ -32,8 +32,7 @@ from ...system.coordinates import Indices
 from ...system.state_fields import ShapeState, State
 from ...system.system import System, nominal
 from ..plan import NO_DIFFERENCES, MemberParameters, Plan
-from ..reduced_flow import entry_name
-from ..sample import Sample
+from ..reduced_flow import Sample, entry_name
 from .flow_start import Constants, PreparedStart, StartConditions, assemble, prepare_start
 
 # Number of members that are set up together, limited to bound the memory.

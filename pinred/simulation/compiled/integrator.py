@@ -28,9 +28,9 @@ from ...kernels.derived_code import tangent_of
 from ...kernels.kernel import Kernel
 from ...reduction.inertia_split import lost_inertia
 from ...scene.scene import Scene
+from ..closed_loops import near_singular_loops
 from ..plan import Plan
 from ..reduced_flow import Integrate, Segment
-from ..singular_loops import near_singular_loops
 from .compiled_flow import CompiledFlow
 
 

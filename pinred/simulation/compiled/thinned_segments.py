@@ -12,9 +12,9 @@ from ...forces.switch_times import time_within
 from ...integrators.methods import EqualSteps
 from ...integrators.methods.method import registers_of
 from ...integrators.thinned_run import ThinnedIntegration, ThinnedSolution
+from ..checkpoint import Part, RunRecord
 from ..plan import Plan
 from ..reduced_flow import Segment, Segments
-from ..run_record import Part, RunRecord
 from .compiled_flow import CompiledFlow
 from .integrator import divisions_of, explained, refined, wild_steps
 

@@ -19,7 +19,7 @@ from ...integrators.solution import Solution
 from ...kernels.state_layout import Layout
 from ...scene.scene import Scene
 from ...scene.stop import Bound
-from ..polynomial_roots import bernstein
+from ..impacts import bernstein
 from ..run_with_stops import Phase, StoppedMotion, margin_of
 
 _DEGREE = 8  # Degree of the polynomials that describe gaps within a step.

@@ -11,11 +11,11 @@ import numpy as np
 from ...common.arrays import Array, read_only
 from ...common.errors import AccuracyWarning
 from ...integrators.solution import Solution
+from ..closed_loops import may_pass_singular_shape, refuse_singular_shapes
 from ..compiled.compiled_flow import CompiledFlow
 from ..plan import Plan, Span
-from ..singular_loops import may_pass_singular_shape, refuse_singular_shapes
 from ..step_limits import step_limits
-from ..time_resolution import (
+from ..step_resolution import (
     Steps,
     describe_unresolved,
     order_of,

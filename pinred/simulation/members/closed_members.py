@@ -10,8 +10,8 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import InputError, IntegrationError, LoopWarning, RejectedValuesError
 from ...scene.scene import Scene
+from ..closed_loops import may_pass_singular_shape
 from ..simulate import trajectory_of
-from ..singular_loops import may_pass_singular_shape
 from .trajectories import Batch, Failure
 
 

@@ -17,9 +17,8 @@ from ...common.names import quoted_path
 from ...lie.groups import GROUPS
 from ...system.state_fields import ShapeState, State, map_arrays
 from ..impacts import MemberImpacts, member_table_in
-from ..over_time import OverTime
+from ..over_time import OverTime, read_zarr
 from ..recording import MOST_BYTES, ORIGIN, Recording, load_recorded_robot, read_arrays
-from ..trajectory_files import read_zarr
 from .trajectories import Failure
 
 if TYPE_CHECKING:

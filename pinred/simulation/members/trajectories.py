@@ -21,10 +21,9 @@ from ...system.coordinates import Indices
 from ...system.state_fields import FIELDS, ShapeState, State, arrays_of, axis_lengths, map_arrays
 from ...system.system import System, nominal
 from ..impacts import MemberImpacts, impact_arrays
-from ..over_time import OverTime
+from ..over_time import OverTime, robot_arrays, write_zarr
 from ..simulate import trajectory_of
 from ..trajectory import Cost, Trajectory
-from ..trajectory_files import robot_arrays, write_zarr
 
 if TYPE_CHECKING:
     from ..compiled.compiled_flow import CompiledFlow

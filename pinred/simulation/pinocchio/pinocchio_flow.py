@@ -21,8 +21,7 @@ from ...reduction.inertia_split import symmetric
 from ...reduction.potential import shape_gravity
 from ...system.state_fields import ShapeState, State
 from ..plan import Plan
-from ..reduced_flow import entry_name
-from ..sample import Sample, map_samples
+from ..reduced_flow import Sample, entry_name, map_samples
 from .base_and_momentum import Base
 
 
