@@ -1,7 +1,7 @@
 """The reduced equations in canonical form, without the equation of the body momentum.
 
 Both engines integrate this form.  Here Pinocchio evaluates it, for the engine in
-simulation/pinocchio, whose file base_and_momentum.py computes the rate of the body momentum.
+simulation/pinocchio_engine.py, which also computes the rate of the body momentum.
 
 In the variables shape x, canonical momentum π = ∂L/∂ẋ and body momentum μ, the equations have no
 curvature term:

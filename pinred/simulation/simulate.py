@@ -161,11 +161,11 @@ def _simulated(
         run = partial(run_with_stops, progress=progress, again=again, engine=engine)
     elif engine == "compiled":
         expect_integration(plan.method)  # before the kernels are imported
-        from .compiled.run_compiled import run_compiled
+        from .compiled.integrator import run_compiled
 
         run = partial(run_compiled, progress=progress, again=again, checkpoint=checkpoint)
     else:
-        from .pinocchio.run_pinocchio import run_pinocchio
+        from .pinocchio_engine import run_pinocchio
 
         run = partial(run_pinocchio, progress=progress, again=again)
     resolved = partial(_resolved, run=run, engine=engine)

@@ -189,8 +189,8 @@ def run_members(
 
             refuse_with_stops(group.plan, check=False, checkpoint=False)
     from .compiled.compiled_flow import flows_of
-    from .members.closed_members import reject_singular
     from .members.integrate_members import integrate_members
+    from .members.member_options import reject_singular
 
     batches: list[Batch] = []
     single: dict[int, Trajectory] = {}

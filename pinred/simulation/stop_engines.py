@@ -39,8 +39,7 @@ class StopEngine:
         if name == "compiled":
             method, of_flow = plan.method, partial(integrator, chunk=_CHUNK)
             return cls(method.name, method.order, CompiledFlow.of_plan, of_flow)
-        from .pinocchio.pinocchio_flow import PinocchioFlow
-        from .pinocchio.scipy_integrator import DEGREE
-        from .pinocchio.scipy_integrator import integrator as scipy_integrator
+        from .pinocchio_engine import DEGREE, PinocchioFlow
+        from .pinocchio_engine import integrator as scipy_integrator
 
         return cls("DOP853", DEGREE, PinocchioFlow, scipy_integrator)

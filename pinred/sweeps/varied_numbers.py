@@ -17,7 +17,7 @@ from ..common.parameter import Parameter, VectorParameter, value_in
 from ..forces.signals import Constant
 from ..scene.scene import Scene
 from ..scene.stop import is_number_of_stop, number_of_stop, numbers_of_stop, parse_stops
-from ..simulation.members.member_parameters import force_parameters
+from ..simulation.members.member_options import force_parameters
 from ..system.model_parameters import ModelParameters, kinds_near, size_of
 from ..system.state_fields import entry_names, label_entries
 from ..system.system import System, nominal

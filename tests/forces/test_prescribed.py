@@ -22,7 +22,7 @@ from pinred.lie import GROUPS
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Expression, Fourier, Signal, Spline
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
-from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
+from pinred.simulation.pinocchio_engine import PinocchioFlow
 from pinred.simulation.plan import plan_of
 from pinred.system.robot_files import has_example_robots
 

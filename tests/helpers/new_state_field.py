@@ -28,7 +28,7 @@ NEW_FIELD = {
     "pinred.kernels.reduced_graph": [
         ('fields["energy"] =', 'fields["relative_twist"] = self.xi\n        fields["energy"] =')
     ],
-    "pinred.simulation.pinocchio.pinocchio_flow": [
+    "pinred.simulation.pinocchio_engine": [
         ("t=t.copy(),", "t=t.copy(), relative_twist=v[:, :r].copy(),")
     ],
 }

@@ -22,7 +22,7 @@ from pinred.kernels.validation import validate_kernel
 from pinred.lie import GROUPS
 from pinred.reduction.cyclic_joints import cyclic_joints
 from pinred.simulation.compiled.compiled_flow import CompiledFlow, kernel_of
-from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
+from pinred.simulation.pinocchio_engine import PinocchioFlow
 from pinred.simulation.plan import plan_of
 from pinred.system.robot_files import bundled_robots
 

@@ -27,7 +27,7 @@ from pinred.reduction.tree.body_frames import bodies_of, cosine, sine
 from pinred.reduction.tree.identical_branches import Lanes, Mark, links_of
 from pinred.reduction.tree.scalars import Turn
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
-from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
+from pinred.simulation.pinocchio_engine import PinocchioFlow
 from pinred.simulation.plan import plan_of
 
 MADE = [limbed_model, mirrored_model, unequal_limbs_model]

@@ -18,7 +18,7 @@ from pinred.reduction.cyclic_joints import cyclic_joints
 from pinred.reduction.potential import shape_gravity
 from pinred.reduction.tree.articulated_sweep import sweep
 from pinred.reduction.tree.body_frames import bodies_of
-from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
+from pinred.simulation.pinocchio_engine import PinocchioFlow
 from pinred.simulation.plan import plan_of
 
 

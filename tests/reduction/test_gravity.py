@@ -20,7 +20,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.scene.scene import ENGINES, Engine
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
-from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
+from pinred.simulation.pinocchio_engine import PinocchioFlow
 from pinred.simulation.plan import plan_of
 
 MASS, ARM, G = 2.0, 0.3, 9.81

@@ -19,7 +19,7 @@ from pinred.judge.reference_solution import FullState
 from pinred.reduction.cyclic_joints import cyclic_of
 from pinred.signals import Expression, Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
-from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
+from pinred.simulation.pinocchio_engine import PinocchioFlow
 from pinred.simulation.plan import plan_of
 
 

@@ -24,7 +24,7 @@ from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.run_state import LAYOUT
 from pinred.simulation import checkpoint as checkpoint_module
 from pinred.simulation.checkpoint import Checkpoint, read_checkpoint
-from pinred.simulation.compiled import thinned_segments
+from pinred.simulation.compiled import integrator
 
 METHODS: list[Any] = [
     pinred.DOP853(1e-10, 1e-12),
@@ -207,12 +207,12 @@ def test_resumed_thinned_run_has_the_same_bits(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """A long run that stores few states keeps its copies."""
-    monkeypatch.setattr(thinned_segments, "STORED_BYTES", 0)
+    monkeypatch.setattr(integrator, "STORED_BYTES", 0)
     force = Torque(lambda s: {"bend": ca.if_else(s.t > 14.0, 0.01, 0.0)})
     method = pinred.Gauss(0.01, 4)
     make = partial(cat_scene, method=method, duration=60.0, times=[3.3, 60.0], forces=[force])
     whole, other = resumed(monkeypatch, make, tmp_path / "run.ckpt")
-    assert isinstance(other.motion.segments, thinned_segments.ThinnedSegments)
+    assert isinstance(other.motion.segments, integrator.ThinnedSegments)
     check_equal(whole, other)
 
 
@@ -220,7 +220,7 @@ def test_resumed_thinned_run_with_followers_has_the_same_bits(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Long segments continue with the state of the controller and the crossings."""
-    monkeypatch.setattr(thinned_segments, "STORED_BYTES", 0)
+    monkeypatch.setattr(integrator, "STORED_BYTES", 0)
 
     def steer(t: float, state: dict[str, Any], seen: Any) -> tuple[Any, dict[str, Any]]:
         state["sum"] += np.sin(seen.x["bend"])

@@ -174,7 +174,7 @@ def test_zero_momentum_evaluates_no_momentum_terms(monkeypatch: pytest.MonkeyPat
     def forbidden(*_: Array) -> Array:
         raise AssertionError("momentum was turned into the body frame")
 
-    monkeypatch.setattr("pinred.simulation.pinocchio.base_and_momentum._into_body", forbidden)
+    monkeypatch.setattr("pinred.simulation.pinocchio_engine._into_body", forbidden)
     system = pinred.load("falling_cat")
     xdot0 = np.full(system.m, 0.3)
     pinred.simulate(system, xdot0=xdot0, momentum=0, duration=0.1, engine="pinocchio")

@@ -14,7 +14,7 @@ from pinred.forces import Torque, Wrench
 from pinred.lie import GROUPS
 from pinred.scene.scene import ENGINES
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
-from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
+from pinred.simulation.pinocchio_engine import PinocchioFlow
 from pinred.simulation.plan import plan_of
 
 MOVING = {"R": [0.3], "SO2": [0.3], "SE2": [0.3, -0.1, 0.4], "SO3": [0.3, -0.2, 0.4]}

@@ -23,8 +23,7 @@ from pinred.judge.verdict import Verdict
 from pinred.scene.scene import Engine
 from pinred.simulation import run_with_stops
 from pinred.simulation.impacts import ImpactTable
-from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
-from pinred.simulation.pinocchio.scipy_integrator import DEGREE, integrator
+from pinred.simulation.pinocchio_engine import DEGREE, PinocchioFlow, integrator
 from pinred.simulation.plan import plan_of
 from pinred.system.force_interface import SeenState
 

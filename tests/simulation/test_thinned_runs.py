@@ -13,8 +13,8 @@ import pinred
 from pinred.common.errors import IntegrationError
 from pinred.forces import Command, Controller, Torque
 from pinred.integrators.thinned_run import ThinnedIntegration
-from pinred.simulation.compiled import integrator, thinned_segments
-from pinred.simulation.compiled.thinned_segments import ThinnedSegments
+from pinred.simulation.compiled import integrator
+from pinred.simulation.compiled.integrator import ThinnedSegments
 
 METHODS = [
     pinred.Gauss(0.01, 4),
@@ -39,7 +39,7 @@ def run_both(
     """Return the trajectory with stored step ends, and without."""
     stored = pinred.simulate(scene)
     with monkeypatch.context() as patch:
-        patch.setattr(thinned_segments, "STORED_BYTES", 0)
+        patch.setattr(integrator, "STORED_BYTES", 0)
         thinned = pinred.simulate(scene)
     assert isinstance(thinned.motion.segments, ThinnedSegments)
     assert not isinstance(stored.motion.segments, ThinnedSegments)
@@ -80,7 +80,7 @@ def test_thinned_run_passes_the_stops_of_forces(monkeypatch: pytest.MonkeyPatch)
 
 def test_thinned_run_refuses_wild_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """A joint that rotates by many turns within a step is refused without stored steps, too."""
-    monkeypatch.setattr(thinned_segments, "STORED_BYTES", 0)
+    monkeypatch.setattr(integrator, "STORED_BYTES", 0)
     monkeypatch.setattr(integrator, "_WILD", 1e-4)
     with pytest.raises(IntegrationError, match="rotates by"):
         pinred.simulate(cat_scene(method=pinred.RKMK4(0.01)))
@@ -131,7 +131,7 @@ def test_followers_of_a_thinned_run_see_the_same_steps(
     scene = followed_scene(method, terminal=terminal, controlled=controlled)
     stored = pinred.simulate(scene)
     with monkeypatch.context() as patch:
-        patch.setattr(thinned_segments, "STORED_BYTES", 0)
+        patch.setattr(integrator, "STORED_BYTES", 0)
         runs = counted_calls(patch)
         thinned = pinred.simulate(scene)
     assert runs
@@ -164,7 +164,7 @@ def counted_calls(patch: pytest.MonkeyPatch) -> list[float]:
 
 def test_event_before_a_failure_ends_a_thinned_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """An event that ends the motion is found in the steps before a failure."""
-    monkeypatch.setattr(thinned_segments, "STORED_BYTES", 0)
+    monkeypatch.setattr(integrator, "STORED_BYTES", 0)
     root = Torque(lambda _t, x, _xdot, _mu: {"hinge": 1e-9 * ca.sqrt(1.0 - x["hinge"])})
     scene = pinred.Scene(
         system=pinred.load("coupled_planar"), xdot0=[1.0], duration=9.0, times=[9.0],
@@ -191,7 +191,7 @@ def test_thinned_run_with_events_takes_little_memory(monkeypatch: pytest.MonkeyP
     chain = pinred.load("planar_chain5")
     peaks = []
     for most in (1 << 30, 0):
-        monkeypatch.setattr(thinned_segments, "STORED_BYTES", most)
+        monkeypatch.setattr(integrator, "STORED_BYTES", most)
         pinred.simulate(chain, times=[1.0], **options)
         tracemalloc.start()
         try:

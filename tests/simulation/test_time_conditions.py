@@ -17,7 +17,7 @@ from pinred.forces import Torque
 from pinred.forces.switch_times import SwitchTimes
 from pinred.judge.reference_solution import FullState
 from pinred.signals import Hold
-from pinred.simulation.compiled import through_stops as through_stops_module
+from pinred.simulation.compiled import integrator
 
 START, WIDTH, SIZE = Parameter("start", 0.4), Parameter("width", 0.1), Parameter("size", 0.2)
 TIMES = np.array([0.0, 0.35, 1.0])
@@ -126,10 +126,10 @@ def test_run_through_all_stops_equals_its_segments(
     options = scene(waves, method=method, rtol=1e-6, xi0=[0.0, 0.0, 0.0, 0.3, -0.2, 0.5])
     through = pinred.simulate(options)
     with monkeypatch.context() as patch:
-        patch.setattr(through_stops_module, "through_stops", lambda *_: None)
+        patch.setattr(integrator, "through_stops", lambda *_: None)
         one_by_one = pinred.simulate(options)
     assert len(through.plan.stops) == 100
-    assert isinstance(through.motion.segments, through_stops_module.PartSegments)
+    assert isinstance(through.motion.segments, integrator.PartSegments)
     assert through.run.evaluations == one_by_one.run.evaluations
     np.testing.assert_array_equal(through.motion.knots, one_by_one.motion.knots)
     times = np.linspace(0.0, 1.0, 73)

@@ -311,13 +311,13 @@ class Flow:
 
     def _expect_along(self, count: int) -> None:
         """Let other threads generate the machine code of derivatives along directions, once."""
-        from .derivatives_ahead import expect_along
+        from .propagator import expect_along
 
         once(self, (expect_along, count), lambda: expect_along(self.propagator, self._rows, count))
 
     def _expect_back(self) -> None:
         """Let other threads generate the machine code of derivatives of a covector, once."""
-        from .derivatives_ahead import expect_back
+        from .propagator import expect_back
 
         once(self, expect_back, lambda: expect_back(self.propagator, self._rows))
 

@@ -1,14 +1,18 @@
-"""A flow as a function between plain vectors, for other libraries.
+"""A flow as a function between plain vectors, also for batches, for other libraries.
 
 Inputs are vectors in the order of the flow's `inputs`; the output is one vector.  Poses and
 quaternions of balls are written in their own coordinates, not in tangent coordinates, so that
 derivatives match values.  Quaternions of balls in x0 may have any length: they are normalised, so
 derivatives along a quaternion are zero.
+
+In batches, inputs, directions and covectors have leading axes (…, size) that are broadcast.  Values
+of a batch run in SIMD lanes; one integration serves all directions and covectors of the same
+inputs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -285,3 +289,67 @@ def _common_count(counts: Sequence[int]) -> int:
     if len(distinct) > 1:
         raise ShapeError(f"inputs must have equally many rows, or one, got {sorted(distinct)}")
     return distinct.pop() if distinct else 1
+
+
+FIRST_ORDER = "flows only have first derivatives, but a second derivative was requested"
+
+
+class Batched:
+    """A flow between vectors with leading axes.
+
+    Attributes:
+        columns: The flow between single vectors.
+    """
+
+    def __init__(self, columns: Columns) -> None:
+        """Wrap a flow between single vectors."""
+        self.columns = columns
+
+    def value(self, columns: Sequence[Any]) -> Array:
+        """Return the output for each of the inputs, (…, size)."""
+        lead = _lead(columns)
+        if not lead:
+            return self.columns.value(*columns)
+        rows = [a.reshape(-1, a.shape[-1]) for a in _wide(columns, lead)]
+        return self.columns.values(*rows).reshape(*lead, self.columns.size)
+
+    def along(self, columns: Sequence[Any], directions: Sequence[Any]) -> Array:
+        """Return the derivatives along directions of the inputs, (…, size)."""
+        lead = _lead([*columns, *directions])
+        derivatives = np.zeros((*lead, self.columns.size))
+        for place, inputs, seeds in _runs(columns, directions, lead):
+            flat = [seed.reshape(-1, seed.shape[-1]) for seed in seeds]
+            derivatives[place] = self.columns.jvp(inputs, flat).reshape(derivatives[place].shape)
+        return derivatives
+
+    def back(self, columns: Sequence[Any], covector: Any) -> list[Array]:
+        """Return the derivatives of covector · output with respect to each input, (…, its size)."""
+        lead = _lead([*columns, covector])
+        slopes = [np.zeros((*lead, size)) for size in self.columns.sizes]
+        for place, inputs, (seed,) in _runs(columns, [covector], lead):
+            gradients = self.columns.vjp(inputs, seed.reshape(-1, seed.shape[-1]))
+            for result, slope in zip(slopes, gradients, strict=True):
+                result[place] = slope.reshape(result[place].shape)
+        return slopes
+
+
+def _lead(arrays: Sequence[Any]) -> tuple[int, ...]:
+    return np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
+
+
+def _wide(arrays: Sequence[Any], lead: tuple[int, ...]) -> list[Any]:
+    return [np.broadcast_to(a, (*lead, a.shape[-1])) for a in arrays]
+
+
+def _runs(
+    columns: Sequence[Any], seeds: Sequence[Any], lead: tuple[int, ...]
+) -> Iterator[tuple[Any, list[Any], list[Any]]]:
+    """Yield the result indices, the inputs, and the directions or covectors of each integration."""
+    if 0 in lead:
+        return
+    shape = _lead(columns)
+    shape = (1,) * (len(lead) - len(shape)) + shape
+    columns, seeds = _wide(columns, shape), _wide(seeds, lead)
+    for index in np.ndindex(shape):
+        place = tuple(slice(None) if size == 1 else i for i, size in zip(index, shape, strict=True))
+        yield place, [a[index] for a in columns], [a[place] for a in seeds]

@@ -12,8 +12,7 @@ from ...common.errors import InputError, MissingPackageError
 from ...common.memo import once_for_all
 from ...common.optional_packages import optional_package
 from . import xla_call
-from .batched import FIRST_ORDER, Batched
-from .flow_columns import Columns
+from .flow_columns import FIRST_ORDER, Batched, Columns
 
 _OLDEST = (0, 10, 0)  # Oldest version of JAX with the call frames that xla_call reads.
 

@@ -13,8 +13,7 @@ from ...common.errors import InputError, ShapeError
 from ...common.memo import once_for_all
 from ...common.names import brief
 from ...common.optional_packages import optional_package
-from .batched import FIRST_ORDER, Batched
-from .flow_columns import Columns
+from .flow_columns import FIRST_ORDER, Batched, Columns
 
 # Registered flows; operators refer to a flow by its number.  Entries are never removed.
 _flows: dict[int, Batched] = {}

@@ -1,9 +1,13 @@
-"""Members specified by arrays of the options and parameters that differ between them."""
+"""Members specified by arrays of the options and parameters that differ between them.
+
+Prescribed joints have their planned values in the initial shapes.  With closed loops, each initial
+state is moved to the nearest closed one, and members that pass singular shapes are rejected.
+"""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import replace
@@ -15,12 +19,15 @@ import numpy as np
 from ...common.arrays import Array, as_floats, copied, dimensions, vectors
 from ...common.errors import (
     InputError,
+    IntegrationError,
     LoopWarning,
     RejectedValuesError,
     ShapeError,
     SymmetryError,
 )
 from ...common.names import brief, listed
+from ...common.parameter import Parameter, VectorParameter, by_name, refuse_entry, value_in
+from ...forces.force_model import ForceModel
 from ...integrators.methods import Method
 from ...reduction.potential import acting_gravity, falling
 from ...scene import input_formats
@@ -36,15 +43,217 @@ from ...scene.stop import (
     starts_beyond,
 )
 from ...system.coordinates import Indices
-from ...system.model_parameters import GRAVITY, requested, size_of
+from ...system.model_parameters import GRAVITY, kinds_near, requested, size_of
 from ...system.system import System, in_gravity, nominal
+from ..closed_loops import may_pass_singular_shape
 from ..plan import MemberParameters
 from ..robot_columns import RobotColumns, with_own
-from ..simulate import as_scene
-from .closed_members import close_members
-from .initial_shapes import with_prescribed_joints
+from ..simulate import as_scene, trajectory_of
 from .member_groups import Group, Members, members_plan
-from .member_parameters import check_varying, member_numbers, rows_of, varying_parameters
+from .trajectories import Batch, Failure
+
+
+def varying_parameters(
+    values: Mapping[str, Any], robot: Mapping[str, int], base: System | Scene,
+    members: Collection[str],
+) -> dict[str, Array]:  # fmt: skip
+    """Return the parameters with one value for each member.
+
+    Args:
+        values: Values of parameters by name.
+        robot: Number of entries of each robot parameter among them.
+        base: The System or Scene of the members; its forces tell which parameters are vectors.
+        members: Names of parameters that must differ between members.
+    Returns:
+        Values by name, (N,) or (N, k).
+    Raises:
+        ShapeError: One of `members` is a vector, but has a single value.
+    """
+    known = force_parameters(base) if isinstance(base, Scene) else {}
+    varying = {}
+    for name, value in values.items():
+        axes: tuple[int, ...] = (1, 2)
+        if name in robot:
+            axes = (2,) if robot[name] > 1 else (1,)
+        elif isinstance(vector := known.get(name), VectorParameter):
+            axes = (2,)
+            if name in members and dimensions(value) != 2:
+                raise ShapeError(
+                    f"members['{name}'] must have shape (N, {len(vector)}), got {np.shape(value)}"
+                )
+        if dimensions(value) in axes:
+            varying[name] = rows_of(value, name)
+    return varying
+
+
+def rows_of(value: Any, name: str) -> Array:
+    """Return the values (N,), or (N, k), of a parameter.  Raises ShapeError."""
+    rows = as_floats(value, name)
+    return vectors(rows, rows.shape[-1], f"parameters['{name}']")
+
+
+def force_parameters(scene: Scene) -> dict[str, Parameter | VectorParameter]:
+    """Return the parameters in forces and signals of a scene, by name."""
+    return {} if scene.force_model is None else by_name(scene.force_model.parameters)
+
+
+def check_varying(
+    varying: Mapping[str, Array], scene: Scene, robot: Collection[str],
+    states: Sequence[str], options: str,
+) -> None:  # fmt: skip
+    """Check that parameters can vary in scenes, and the shapes of their values.
+
+    Args:
+        varying: Values by name, (N,) or (N, k).
+        scene: Scene of the members.
+        robot: Names of robot parameters.
+        states: Names of the initial states that can vary, for the message.
+        options: Description of what can vary, for the message.
+    Raises:
+        InputError: A name is not that of a parameter.
+        ShapeError: A value has the wrong shape.
+    """
+    known = force_parameters(scene)
+    for name, values in varying.items():
+        if name in robot:
+            continue
+        if name not in known:
+            refuse_entry(name, known, "members")
+            names = list(known)
+            raise InputError(
+                f"members: {brief(name)} cannot vary in these scenes; "
+                f"{kinds_near(scene.system, name, [*states, *names])}; these scenes accept "
+                f"{options}: {listed(names, 60) or 'none'}"
+            )
+        parameter = known[name]
+        size = (len(parameter),) if isinstance(parameter, VectorParameter) else ()
+        if values.shape[1:] != size:
+            expected = ", ".join(["N", *map(str, size)]) + ("" if size else ",")
+            hint = " For one value of all members, pass a Scene with it." if size else ""
+            raise ShapeError(
+                f"parameters['{name}'] must have shape ({expected}) for N members, "
+                f"got {values.shape}.{hint}"
+            )
+
+
+def member_numbers(
+    model: ForceModel, end: float, varying: Mapping[str, Array], count: int
+) -> Array:
+    """Return the force parameters of each member, (N, p).
+
+    Args:
+        model: Forces of the scene of all members.
+        end: End of the simulation [s].
+        varying: Values of the parameters in forces that differ between members, (N,) or (N, k).
+        count: Number N of members.
+    """
+    # Compute entry by entry, so that a member's results do not depend on the number of members.
+    numbers = np.repeat(model.numbers_from(0.0, end)[None], count, axis=0)
+    columns = {name: values.T for name, values in varying.items()}
+    for k, parameter in enumerate(model.parameters):
+        shifts = value_in(columns, parameter) - parameter.value
+        numbers += np.broadcast_to(shifts, count)[:, None] * model.slopes[:, k]
+    return numbers
+
+
+def with_prescribed_joints(
+    scene: Scene, x: Array, xdot: Array, numbers: Array | None
+) -> tuple[Array, Array]:
+    """Return initial shapes and rates, in which prescribed joints have their planned values.
+
+    Args:
+        scene: The scene of all members.
+        x: Initial shapes, (N, nx) [rad | m | 1].
+        xdot: Initial shape rates, (N, m) [rad/s | m/s].
+        numbers: Force parameters of each member, (N, p), or None if all members share them.
+    Returns:
+        The shapes and rates.
+    """
+    model = scene.force_model
+    if model is None or not model.joints or numbers is None:
+        return scene.with_prescribed(x, xdot)
+    x, xdot, joints = x.copy(), xdot.copy(), list(model.joints)
+    coordinates = scene.system.space.coordinates_of_joints(joints)
+    for k, row in enumerate(numbers):
+        planned = model.prescribed(0.0, row)
+        x[k, coordinates], xdot[k, joints] = planned.x, planned.xdot
+    return x, xdot
+
+
+def close_members(scene_of: Callable[[int], Scene], count: int) -> tuple[Array, Array]:
+    """Return the initial shapes and rates of all members with closed loops, as in `simulate`.
+
+    Args:
+        scene_of: Function that returns the scene of a member, given its index.
+        count: Number of members N.
+    Returns:
+        Shapes, (N, nx), and rates, (N, m).
+    Raises:
+        RejectedValuesError: The loops of some members do not close; it has the reason for each.
+    """
+    shapes, rates, reasons = [], [], dict[int, str]()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for member in range(count):
+            try:
+                given = scene_of(member).given
+            except InputError as error:
+                reasons[member] = str(error)
+                continue
+            shapes.append(given.x)
+            rates.append(given.xdot)
+    if reasons:
+        raise RejectedValuesError(reasons)
+    _warn_once(caught, count)
+    return np.concatenate(shapes), np.concatenate(rates)
+
+
+def _warn_once(caught: list[warnings.WarningMessage], count: int) -> None:
+    """Repeat the first warning about loops with the number of such members, and all others."""
+    loops = [entry for entry in caught if issubclass(entry.category, LoopWarning)]
+    for entry in caught:
+        if entry not in loops:
+            warnings.warn_explicit(entry.message, entry.category, entry.filename, entry.lineno)
+    if loops:
+        warnings.warn(
+            f"{len(loops)} initial states of {count} members leave loops open. The first: "
+            f"{loops[0].message}",
+            LoopWarning,
+            stacklevel=2,
+        )
+
+
+def reject_singular(batch: Batch, times: Array, scene_of: Callable[[int], Scene]) -> list[Failure]:
+    """Return the failures of members that pass a singular shape, and remove their later states.
+
+    Lanes store no steps.  So members whose reported shapes cannot exclude a singular shape are
+    simulated alone, which finds it.
+
+    Args:
+        batch: Solutions of the members, whose states after a singular shape become NaN.
+        times: Report times, (T,) [s].
+        scene_of: Function that returns the scene of a member, given its index.
+    Returns:
+        The failures.
+    """
+    assert batch.flow is not None
+    system, failures = batch.flow.kernel.system, []
+    if system.closure is None:
+        return []
+    shapes = np.empty((len(batch.members), len(times), system.nx))
+    batch.flow.fill_states(times, batch.y, np.arange(len(shapes)), {"x": shapes})
+    failed = {failure.member for failure in batch.failures}
+    for k, member in enumerate(batch.members.tolist()):
+        if member in failed or not may_pass_singular_shape(system, shapes[k]):
+            continue
+        try:
+            trajectory_of(scene_of(member))
+        except IntegrationError as error:
+            reached = getattr(error, "time", 0.0)
+            batch.y[k, times > reached] = np.nan
+            failures.append(Failure(member, reached, str(error)))
+    return failures
+
 
 STATES = ("x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0")
 # Pairs (option, field of State) that q0 and v0 determine; then the fields that a seed determines.

@@ -1,1 +1,0 @@
-"""The readable engine: Pinocchio evaluates the reduced equations, SciPy's DOP853 integrates."""
