@@ -2,12 +2,12 @@
 
 The full simulation (reference_solution.py) shares no dynamics with the reduced one. It runs at a
 tolerance 100 times tighter, by a method of order 8. Its residuals, integrated by another formula,
-bound its error (reference_errors.py). Where this bound is wide, the difference from a solution by
+bound its error (step_defects.py). Where this bound is wide, the difference from a solution by
 a method of order 5 is used instead, if it is smaller.
 
 A trajectory passes in three steps, each with a separate line of the report:
 1. Equations: at the states of the trajectory, the route's accelerations equal ABA's up to
-   round-off (equation_errors.py). Neither chaos nor the tolerance matters.
+   round-off (audit.py). Neither chaos nor the tolerance matters.
 2. Steps: the defect of each step, evaluated with ABA, is within the tolerance (step_defects.py).
 3. Errors: the distance from the reference is at most ten times the sum of earlier defects, times
    the growth of perturbations, which ABA measures. Each joint is measured in
@@ -33,12 +33,11 @@ from ..common.progress import Progress, shown
 from ..simulation.contact.chain import Chain
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import State
-from .audit import audit_trajectory, audit_with_reference, measurement_error
+from .audit import audit_trajectory, audit_with_reference, equation_errors, measurement_error
 from .compare_chain import ChainReport, judge_impacts
 from .distances import Distance, FullMotion, Size
-from .equation_errors import equation_errors
-from .loop_errors import loop_errors
-from .reference_errors import reference_errors
+from .full_system import loop_errors
+from .reference_integrators import AbaStopped, TimeBudget, default_budget
 from .reference_solution import FINEST, PERTURBATION, FullState, StiffError
 from .step_defects import (
     DecayingErrors,
@@ -46,12 +45,12 @@ from .step_defects import (
     are_fast,
     compute_defects,
     defect_units,
+    reference_errors,
     solve_stiff_steps,
     unresolved_forces,
 )
 from .stop_checks import StopChecks, check_stops, judgeable_until
 from .stop_reference import NEVER, Hit, StoppedFullState, full_state_of
-from .time_budget import AbaStopped, TimeBudget, default_budget
 from .verdict import Report, Verdict
 
 TIGHTER = 100.0  # ratio of the scene's tolerance to the tolerance of the reference solution

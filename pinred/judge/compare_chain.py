@@ -27,7 +27,7 @@ from ..simulation.contact.landing import Landing
 from ..system.derived_systems import Instant
 from ..system.loops.kinematics import LoopKinematics
 from ..system.system import System
-from .loop_errors import RANK
+from .full_system import RANK
 from .verdict import Report, Verdict, table_of
 
 IMPACT_BOUND = 1e-11  # largest passing difference across an impact, relative to size and speed

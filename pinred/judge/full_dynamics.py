@@ -2,29 +2,260 @@
 
 It shares no dynamics with the reduction: its root kinematics, its momenta and energies (computed by
 Pinocchio) are independent. Only the force expressions are shared.
+
+Kinematics and forces are evaluated thousands of times, and numpy's operations on arrays of ten
+numbers take longer than Pinocchio's ABA. So the functions of numpy arrays that define the
+kinematics are called once with symbols, and CasADi compiles the resulting expressions.
+
+Times at which conditions on time change are found by sampling the forces' conditions, independent
+of the search for the stops of integrators. All conditions are sampled densely, with a bisection
+between samples that differ, so a pulse that is shorter than the sample spacing can be missed. Such
+a pulse is detected if the motion stops at one of its ends, because the middle of each span is
+sampled, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
 
+import casadi as ca
 import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from ..forces.force_values import BaseInSpace
+from ..forces.force_model import ForceModel
+from ..forces.force_values import BaseInSpace, FunctionBuffers
 from ..kernels.pinocchio_terms import LoadsByPinocchio
 from ..scene.scene import Scene
 from ..simulation.plan import stops_of
 from ..simulation.reduced_flow import Sample
+from ..system.coordinates import Indices
 from ..system.system import System
-from .condition_times import condition_times
-from .coupling_constraints import CouplingConstraints
-from .full_coordinates import Configuration, root_motion
-from .loop_errors import closed
-from .rate_terms import ActingForces, FullCoordinates, Kinematics, compile_kinematics
-from .system_totals import SystemTotals
+from .full_system import (
+    Configuration,
+    CouplingConstraints,
+    RootMotion,
+    SystemTotals,
+    closed,
+    normalise,
+    root_motion,
+)
+
+_SAMPLES = 1 << 14
+_RESOLUTION = 1e-14  # length at which bisection ends, as a fraction of the duration
+
+
+def condition_times(forces: ForceModel, stops: Array, numbers: Array) -> Array:
+    """Return the sorted times before the last stop at which a condition on time changes.
+
+    Args:
+        forces: The forces.
+        stops: Sorted times at which the motion stops, its end included, (S,) [s].
+        numbers: Force parameters, (p,).
+    Returns:
+        The times, (K,) [s].
+    """
+    conditions = forces.switching.conditions
+    if conditions is None:
+        return np.empty(0)
+    end = float(stops[-1])
+    span_ends = np.concatenate([[0.0], stops])
+    middles = 0.5 * (span_ends[1:] + span_ends[:-1])
+    times = np.union1d(np.linspace(0.0, end, _SAMPLES), middles)
+    values = _values(forces, conditions, times, numbers)
+    changes = np.flatnonzero((values[1:] != values[:-1]).any(axis=1))
+    a, b, at_a, at_b = times[changes], times[changes + 1], values[changes], values[changes + 1]
+    while a.size and (b - a).max() > _RESOLUTION * end:
+        middle = 0.5 * (a + b)
+        at = _values(forces, conditions, middle, numbers)
+        left, right = (at != at_a).any(axis=1), (at != at_b).any(axis=1)
+        a, b = np.append(a[left], middle[right]), np.append(middle[left], b[right])
+        at_a, at_b = (
+            np.concatenate(rows) for rows in ((at_a[left], at[right]), (at[left], at_b[right]))
+        )
+    return np.unique(b)
+
+
+def _values(forces: ForceModel, conditions: ca.Function, times: Array, numbers: Array) -> Array:
+    """Return the values of all conditions, (T, C), at times (T,)."""
+    mapped, rows = conditions.map(len(times)), np.repeat(numbers[None], len(times), axis=0)
+    forces.set_span(rows, times)
+    values = mapped(times[None], rows.T)
+    return np.asarray(values.T)
+
+
+@dataclass(frozen=True)
+class FullCoordinates:
+    """The layout of the full state y = (root, x, v).
+
+    Attributes:
+        root: Kinematics of the root joint.
+        joints: Coordinates of all other joints.
+        couplings: Constraints between followers and leaders.
+        driven_x: Indices in y of the coordinates of prescribed joints.
+        driven_v: Indices in y of the rates of prescribed joints.
+    """
+
+    root: RootMotion
+    joints: Configuration
+    couplings: CouplingConstraints
+    driven_x: Indices
+    driven_v: Indices
+
+    @property
+    def r(self) -> int:
+        """Number of velocities of the root joint."""
+        return int(self.root.axes.shape[1])
+
+    @property
+    def size(self) -> int:
+        """Length n of y."""
+        return self.root.size + self.joints.size + self.r + self.joints.rates
+
+    def split(self, y: Array) -> tuple[Array, Array, Array, Array]:
+        """Split y (n,) into root coordinates, joint coordinates, body twist and joint rates."""
+        first = self.root.size + self.joints.size
+        pose, x, xi, xdot = np.split(y, [self.root.size, first, first + self.r])
+        return pose, x, xi, xdot
+
+
+class Kinematics:
+    """Kinematic quantities of one full state. Each call of `compute` overwrites them.
+
+    Attributes:
+        t: Time, (1,) [s].
+        state: y with prescribed joints and their followers in place, (n,).
+        q: Pinocchio's configuration of `state`, (nq,).
+        v: Pinocchio's velocity in `state`, (nv,).
+        coordinate_rates: Rates of the coordinates in `state`, (n - nv,).
+        accelerations: Accelerations of the prescribed joints, (k,).
+    """
+
+    def __init__(self, function: ca.Function, parameters: Array) -> None:
+        """Allocate the arrays.
+
+        Args:
+            function: Result of `compile_kinematics`.
+            parameters: Parameters of the forces, (p,), which are read at each call.
+        """
+        buffers = FunctionBuffers(function, {2: parameters})
+        self.t, self._y, _ = buffers.inputs
+        self.state, self.q, self.coordinate_rates, self.accelerations = (
+            output[:, 0] for output in buffers.outputs
+        )
+        self.v, self._run = self.state[len(self.coordinate_rates) :], buffers.run
+
+    def compute(self, t: float, y: Array) -> None:
+        """Compute all quantities at time t [s] and full state y (n,)."""
+        self.t[0] = t
+        self._y[:] = y
+        self._run()
+
+
+class ActingForces:
+    """Forces at the last state of a `Kinematics`. Each call of `compute` overwrites them.
+
+    Attributes:
+        xi: Body twist about the centre of mass, (r,), to set if the forces depend on it.
+        mu: Body momentum about the centre of mass, (r,), likewise.
+        base_mu: Body momentum of the base in space, (r,), likewise.
+        base_J: Spatial momentum, (r,), likewise.
+        tau: Generalised forces without loads on links, (nv,).
+        loads: Loads on links, (9, L).
+        compute: Function without arguments that computes `tau` and `loads`.
+    """
+
+    def __init__(
+        self,
+        coordinates: FullCoordinates,
+        forces: ForceModel,
+        parameters: Array,
+        kinematics: Kinematics,
+    ) -> None:
+        """Compile the forces.
+
+        Args:
+            coordinates: Layout of the full state.
+            forces: Forces and prescribed joints.
+            parameters: Parameters of the forces, (p,), which are read at each call.
+            kinematics: Kinematics, whose time and state are read at each call.
+        """
+        shared = {0: kinematics.t, 1: kinematics.state, 2: parameters}
+        buffers = FunctionBuffers(_acting(coordinates, forces), shared)
+        momenta = buffers.inputs[len(shared) :]
+        for momentum in momenta:
+            momentum[:] = np.nan  # would reveal a force that depends on it
+        self.xi, self.mu, self.base_mu, self.base_J = momenta
+        self.tau, self.loads, self.compute = (
+            buffers.outputs[0][:, 0],
+            buffers.outputs[1],
+            buffers.run,
+        )
+
+
+def compile_kinematics(at: FullCoordinates, forces: ForceModel | None) -> ca.Function:
+    """Compile (t, y, parameters) → (state, q, coordinate_rates, accelerations).
+
+    Args:
+        at: Layout of the full state.
+        forces: Forces and prescribed joints.
+    Returns:
+        The function.
+    """
+    t, y, p = ca.SX.sym("t"), ca.SX.sym("y", at.size), _parameters(forces)
+    state, accelerations = _entries(y), ca.SX(0, 1)
+    if forces is not None and len(at.driven_v):
+        planned_x, planned_rates, accelerations = forces.planned_function(t, p)
+        state[at.driven_x], state[at.driven_v] = _entries(planned_x), _entries(planned_rates)
+        pose, x, xi, xdot = at.split(state)
+        x = at.couplings.values(at.couplings.shape(x))
+        xdot = at.couplings.rates(at.couplings.shape_rate(xdot))
+        state = np.concatenate([pose, x, xi, xdot])
+    pose, x, xi, xdot = at.split(state)
+    coordinate_rates = [*at.root.rate(pose, xi), *at.joints.derivative(x, xdot)]
+    outputs = [
+        _column(state),
+        _column(at.joints(pose, x)),
+        _column(coordinate_rates),
+        accelerations,
+    ]
+    return ca.Function("kinematics", [t, y, p], [ca.densify(output) for output in outputs])
+
+
+def _acting(at: FullCoordinates, forces: ForceModel) -> ca.Function:
+    """Compile (t, state, parameters, momenta) → (tau, loads)."""
+    t, y, p = ca.SX.sym("t"), ca.SX.sym("y", at.size), _parameters(forces)
+    momenta = [ca.SX.sym(name, at.r) for name in ("xi", "mu", "base_mu", "base_J")]
+    xi, mu, base_mu, base_J = momenta
+    pose, x, twist, rates = at.split(_entries(y))
+    if at.root.turns == 3:
+        normalise(pose[at.root.linear :])
+    shape, shape_rate = at.couplings.shape(at.joints.normalised(x)), at.couplings.shape_rate(rates)
+    base = _column(pose), _column(twist), base_mu, base_J
+    torque, wrench, loads = forces.apart_function(
+        t, _column(shape), _column(shape_rate), xi, mu, p, *base, forces.robot
+    )
+    tau = ca.vertcat(wrench, _column(at.couplings.joint_torques(_entries(torque))))
+    return ca.Function("acting", [t, y, p, *momenta], [ca.densify(tau), ca.densify(loads)])
+
+
+def _parameters(forces: ForceModel | None) -> ca.SX:
+    return ca.SX.sym("p", 0 if forces is None else len(forces.numbers))
+
+
+def _entries(column: ca.SX) -> Array:
+    """Return the entries of a column as an array of symbols, which numpy's functions accept."""
+    entries = np.empty(column.numel(), dtype=object)
+    for k, entry in enumerate(ca.vertsplit(column)):
+        entries[k] = entry
+    return entries
+
+
+def _column(entries: Iterable[ca.SX]) -> ca.SX:
+    return ca.vertcat(ca.SX(0, 1), *entries)
+
 
 # Smallest distance from a switch at which a condition on time is evaluated, relative to the
 # duration.
@@ -37,7 +268,7 @@ class FullDynamics:
     The state is y = (root, x, v): root coordinates (position; angle or quaternion), the coordinates
     of all joints (an unwrapped value, or the quaternion of a ball), and Pinocchio's velocity.
     Pinocchio computes the inputs of forces from y. Prescribed joints follow their plan. Follower
-    joints obey multipliers, see coupling_constraints.py.
+    joints obey multipliers, see full_system.py.
 
     Attributes:
         couplings: Constraints between followers and leaders.

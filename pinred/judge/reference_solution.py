@@ -19,10 +19,14 @@ from ..scene.scene import Scene
 from ..simulation.control import Control, Replay
 from .distances import Distance, FullMotion, Size
 from .full_dynamics import FullDynamics
-from .hairer_dense_output import DenseOutput
-from .hairer_integrators import Hairer
-from .stiff_integrator import StiffIntegrator, jacobian
-from .time_budget import AbaStopped, TimeBudget
+from .reference_integrators import (
+    AbaStopped,
+    DenseOutput,
+    Hairer,
+    StiffIntegrator,
+    TimeBudget,
+    jacobian,
+)
 
 FINEST = (2e-14, 1e-16)  # tightest rtol and atol that Hairer's codes can satisfy
 OFFSET = 1e-5  # least length unit, as a fraction of the distance from the origin

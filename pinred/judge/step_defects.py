@@ -1,14 +1,20 @@
-"""The defect of each integration step: its violation of Pinocchio's equations of motion.
+"""Defects of steps, and errors of the reference solution: residuals in the equations of motion.
 
 The defect of a step from a to b is y(b) − y(a) − ∫ f(t, y(t)) dt. Here y is the full state that the
-trajectory reports and f is Pinocchio's ABA. Each half is integrated by itself (quadrature.py). A
+trajectory reports and f is Pinocchio's ABA. Each half is integrated by itself, by Gauss's formula.
+The formula has 8 nodes, so it is exact to round-off within the steps of accurate integrators. A
 trajectory with small defects solves a slightly perturbed system exactly (backward error). An
 integrator can keep defects small even where nearby motions diverge. No reference solution is
 needed.
+
+The error of the reference solution follows from the same quadrature, which shares nothing with
+Hairer's codes. It integrates the residual of the dense output over each step that contains a time
+of the comparison. The defects of steps accumulate, and grow like perturbations of the motion.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -22,13 +28,150 @@ from ..common.arrays import Array
 from ..simulation.trajectory import Trajectory
 from ..system.coordinates import Indices
 from ..system.system import System
-from .quadrature import (
-    COUNT,
-    integrate_residuals,
-    propagate_residuals,
-)  # fmt: skip
-from .reference_solution import OFFSET, SPREAD_MARGIN, FullState
-from .stiff_integrator import NODES, spectral_radius
+from .full_dynamics import FullDynamics
+from .reference_integrators import NODES, spectral_radius
+from .reference_solution import OFFSET, SPREAD_MARGIN, FullState, Solution
+
+_GAUSS_NODES, _WEIGHTS = legendre.leggauss(8)
+COUNT = len(_GAUSS_NODES)
+# Weights of the mean over an interval of ∫ f from its start: ½ ∫ (1 − s) f ds.
+_MEAN_WEIGHTS = 0.5 * _WEIGHTS * (1.0 - _GAUSS_NODES)
+SLOPE_STEP = 1e-6  # step of directional difference quotients, relative to the sizes of states
+
+
+def _partial_weights() -> Array:
+    """Return the weights of ∫ f from −1 to each node, (8, 8)."""
+    P = legendre.legvander(_GAUSS_NODES, COUNT)
+    previous = np.concatenate([-np.ones((COUNT, 1)), P[:, : COUNT - 1]], axis=1)
+    # ∫ P_n from −1 is (P_{n+1} − P_{n−1})/(2n + 1), with P_{−1} = −1.
+    integrals = (P[:, 1:] - previous) / (2 * np.arange(COUNT) + 1)
+    return np.asarray(integrals @ np.linalg.inv(P[:, :COUNT]))
+
+
+_PARTIAL_WEIGHTS = _partial_weights()
+
+
+@dataclass(frozen=True)
+class Quadrature:
+    """Evaluations of ABA on P intervals with 8 nodes each.
+
+    Attributes:
+        nodes: Times of the nodes, (8 P,) [s].
+        parameters: Force parameters at the nodes.
+        y: Full states at the nodes, (8 P, n).
+        rates: Rates of y by ABA, (8 P, n).
+        defects: Defect over each interval, (P, n).
+        mean_defects: Mean over the interval of the defect accumulated from its start, (P, n).
+        largest_defects: Largest magnitude of the accumulated defect at the nodes, (P, n).
+        lengths: Lengths of the intervals, (P,) [s].
+    """
+
+    nodes: Array
+    parameters: Sequence[Array]
+    y: Array
+    rates: Array
+    defects: Array
+    mean_defects: Array
+    largest_defects: Array
+    lengths: Array
+
+
+def node_times(a: Array, b: Array) -> Array:
+    """Return the times of the nodes, (8 P,), of intervals from a to b, (P,) each."""
+    return np.asarray((0.5 * (a + b)[:, None] + 0.5 * (b - a)[:, None] * _GAUSS_NODES).ravel())
+
+
+def integrate_residuals(
+    full: FullDynamics,
+    a: Array,
+    b: Array,
+    states: Callable[[Array], Array],
+    numbers: Callable[[Array], Sequence[Array]],
+) -> Quadrature:
+    """Integrate the residuals of a motion over intervals.
+
+    Args:
+        full: Full dynamics of the scene.
+        a: Starts of the intervals, (P,) [s].
+        b: Ends of the intervals, (P,) [s].
+        states: Function that returns the full states (T, n) of the motion at times (T,).
+        numbers: Function that returns the force parameters at times (T,).
+    Returns:
+        The evaluations and the defects.
+    """
+    nodes, half = node_times(a, b), 0.5 * (b - a)
+    start, end, y = np.split(states(np.concatenate([a, b, nodes])), [len(a), 2 * len(a)])
+    parameters = numbers(nodes)
+    rates = full.rates(nodes, y, parameters)
+    course, at_nodes = y.reshape(len(a), COUNT, -1), rates.reshape(len(a), COUNT, -1)
+    integral = half[:, None] * np.einsum("k,skn->sn", _WEIGHTS, at_nodes)
+    mean_integral = half[:, None] * np.einsum("k,skn->sn", _MEAN_WEIGHTS, at_nodes)
+    accumulated = course - start[:, None] - half[:, None, None] * (_PARTIAL_WEIGHTS @ at_nodes)
+    return Quadrature(
+        nodes=nodes,
+        parameters=parameters,
+        y=y,
+        rates=rates,
+        defects=end - start - integral,
+        mean_defects=0.5 * np.einsum("k,skn->sn", _WEIGHTS, course) - start - mean_integral,
+        largest_defects=np.abs(accumulated).max(axis=1),
+        lengths=b - a,
+    )
+
+
+def propagate_residuals(
+    full: FullDynamics, quadrature: Quadrature, first: Indices, sizes: Array
+) -> Array:
+    """Propagate residuals inside steps to the step ends.
+
+    The integral of the residual over a step can vanish although the step end is wrong: for linear
+    equations, the dense-output interpolants have this property. The accumulated defect D(t) is
+    therefore propagated through the linearised ABA dynamics: e = D + z, where z' = J (D + z). The
+    Jacobian J is evaluated at the midpoint of each interval.
+
+    Args:
+        full: Full dynamics of the scene.
+        quadrature: Evaluations on P intervals, which are parts of S steps.
+        first: Index of the first interval of each step, (S,).
+        sizes: Sizes of states, (n,), which scale difference quotients.
+    Returns:
+        Errors at the step ends, (S, n).
+    """
+    counts = np.diff(np.append(first, len(quadrature.lengths)))
+    errors = np.zeros((len(first), quadrature.defects.shape[1]))
+    for k in range(int(counts.max(initial=0))):
+        steps = np.flatnonzero(counts > k)  # the steps with an interval k
+        intervals, before = first[steps] + k, errors[steps]
+        mean = before + quadrature.mean_defects[intervals]
+        mean += 0.5 * growth_over(full, quadrature, intervals, mean, sizes)
+        grown = growth_over(full, quadrature, intervals, mean, sizes)
+        errors[steps] = before + quadrature.defects[intervals] + grown
+    return errors
+
+
+def growth_over(
+    full: FullDynamics, quadrature: Quadrature, intervals: Indices, errors: Array, sizes: Array
+) -> Array:
+    """Compute J · error times the length of an interval; J · error is a difference quotient.
+
+    Args:
+        full: Full dynamics of the scene.
+        quadrature: Evaluations on all intervals.
+        intervals: Indices of intervals, (I,).
+        errors: An error of the state in each of them, (I, n).
+        sizes: Sizes of states, (n,), which scale the difference.
+    Returns:
+        (I, n) growth; zero for an error that is zero or not finite.
+    """
+    units = np.abs(errors / sizes).max(axis=1) / SLOPE_STEP
+    growth, regular = np.zeros_like(errors), (units > 0.0) & (units < np.inf)
+    nodes, units = intervals[regular] * COUNT + COUNT // 2, units[regular, None]
+    parameters = [quadrature.parameters[k] for k in nodes]
+    states = quadrature.y[nodes] + errors[regular] / units
+    change = full.rates(quadrature.nodes[nodes], states, parameters) - quadrature.rates[nodes]
+    growth[regular] = quadrature.lengths[intervals[regular], None] * units * change
+    return growth
+
 
 _MOST_STEPS = 200  # number of randomly sampled steps that are evaluated for longer trajectories
 # Defects above this multiple of the median defect indicate a kink of a force within the step.
@@ -395,3 +538,37 @@ def defect_units(traj: Trajectory, full: FullState) -> tuple[Array, Array]:
     sizes[1, spin] = np.minimum(sizes[1, spin], np.maximum(initial, least[1, spin]))
     of_tolerance, of_motion = np.where(sizes > 0.0, sizes, 1.0)
     return of_tolerance, of_motion
+
+
+def reference_errors(
+    full: FullState, solution: Solution, times: Array, growth: Array, units: Array
+) -> Array:
+    """Bound the errors of a solution by its accumulated defects times the growth of perturbations.
+
+    Args:
+        full: Full simulation of the scene.
+        solution: Solution at `times`.
+        times: Increasing times, (T,) [s].
+        growth: Factors by which a small perturbation has grown, (T,).
+        units: Units of the numbers in a state, (n,).
+    Returns:
+        (T,) errors relative to the units; zero at the start.
+    """
+    steps = solution.steps
+    if steps is None:
+        return np.zeros(len(times))
+
+    def numbers(t: Array) -> list[Array]:
+        return [solution.parameters[k] for k in np.searchsorted(steps.ends, t)]
+
+    count = len(steps.ends)
+    residuals = integrate_residuals(full, steps.starts, steps.ends, steps, numbers)
+    propagated = propagate_residuals(full, residuals, np.arange(count), units)
+    defects = np.maximum(np.abs(residuals.defects), np.abs(propagated))
+    step = np.minimum(np.searchsorted(steps.ends, times), count - 1)
+    # Steps without times of the comparison count like the others.
+    skipped = (np.searchsorted(solution.step_ends, times) + 1) / (step + 1)
+    accumulated = skipped * np.cumsum((defects / units).max(axis=1))[step]
+    # Times lie within steps, where dense output has an error of lower order.
+    within = np.maximum.accumulate((residuals.largest_defects / units).max(axis=1))[step]
+    return np.where(times > 0.0, growth * accumulated + within, 0.0)

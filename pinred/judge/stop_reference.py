@@ -26,9 +26,9 @@ from ..simulation.control import Replay
 from ..simulation.trajectory import Trajectory
 from ..system.loops.kinematics import LoopKinematics
 from .distances import FullMotion
-from .loop_errors import RANK
+from .full_system import RANK
+from .reference_integrators import AbaStopped, TimeBudget
 from .reference_solution import PERTURBATION, FullState
-from .time_budget import AbaStopped, TimeBudget
 
 _LEAST_RTOL = 2.3e-14  # tightest relative tolerance of SciPy's DOP853
 _SAMPLES = 16  # number of times in a step at which gaps and reactions are evaluated

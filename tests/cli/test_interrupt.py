@@ -15,7 +15,7 @@ from interruptions import BEGIN, interrupted
 
 from pinred.common.arrays import Array
 from pinred.common.interrupts import held_interrupt
-from pinred.judge.hairer_integrators import Hairer
+from pinred.judge.reference_integrators import Hairer
 
 
 def check(at: float) -> None:
@@ -40,7 +40,7 @@ def test_interrupt_ends_compare_during_aba() -> None:
     """
     announced = (
         "import sys\nfrom pinred.cli.entry import main\n"
-        "from pinred.judge.hairer_integrators import Hairer\n"
+        "from pinred.judge.reference_integrators import Hairer\n"
         "integrate = Hairer.integrate\n"
         "def announce(*arguments):\n"
         "    Hairer.integrate = integrate\n    print('ready', flush=True)\n"

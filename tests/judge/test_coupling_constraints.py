@@ -15,9 +15,8 @@ from robot_texts import joint, link, robot, write
 from trees import random_model
 
 import pinred
-from pinred.judge import coupling_constraints as module
-from pinred.judge.coupling_constraints import CouplingConstraints
-from pinred.judge.loop_errors import loop_errors
+from pinred.judge import full_system as module
+from pinred.judge.full_system import CouplingConstraints, loop_errors
 from pinred.judge.reference_solution import FullState
 from pinred.system.loops.kinematics import LoopKinematics
 from pinred.system.state_fields import State

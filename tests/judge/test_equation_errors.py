@@ -12,8 +12,8 @@ import pytest
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.judge import equation_errors as module
-from pinred.judge.equation_errors import Accelerations, accelerations, equation_errors
+from pinred.judge import audit as module
+from pinred.judge.audit import Accelerations, accelerations, equation_errors
 from pinred.judge.reference_solution import FullState
 
 CART, POLE, LEVER, MOMENT, G = (

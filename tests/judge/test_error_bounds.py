@@ -16,6 +16,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.forces import Torque
 from pinred.judge import compare as judge
+from pinred.judge.audit import equation_errors
 from pinred.judge.compare import (
     compute_error_bounds,
     count_informative_times,
@@ -23,10 +24,8 @@ from pinred.judge.compare import (
     explain_uninformative_times,
 )
 from pinred.judge.distances import FullMotion, Size
-from pinred.judge.equation_errors import equation_errors
-from pinred.judge.reference_errors import reference_errors
 from pinred.judge.reference_solution import FullState, Solution
-from pinred.judge.step_defects import Defects
+from pinred.judge.step_defects import Defects, reference_errors
 from pinred.judge.verdict import Verdict
 
 RTOL, ATOL = 1e-8, 5e-9

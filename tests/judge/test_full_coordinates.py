@@ -8,7 +8,7 @@ import pytest
 from trees import random_model
 
 from pinred.common.arrays import Array
-from pinred.judge.full_coordinates import Configuration, RootMotion, root_motion
+from pinred.judge.full_system import Configuration, RootMotion, root_motion
 from pinred.lie import GROUPS
 
 

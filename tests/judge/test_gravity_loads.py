@@ -9,10 +9,9 @@ import pinocchio as pin
 import pytest
 
 import pinred
-from pinred.judge.audit import audit_states, audit_trajectory
-from pinred.judge.equation_errors import equation_errors
+from pinred.judge.audit import audit_states, audit_trajectory, equation_errors
+from pinred.judge.full_system import gravity_load_sizes
 from pinred.judge.reference_solution import FullState
-from pinred.judge.system_totals import gravity_load_sizes
 
 MASS, LEVER, MOMENTS, G = 2.0, 0.3, (0.02, 0.03, 0.01), 9.81
 

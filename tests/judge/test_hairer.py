@@ -13,8 +13,8 @@ from commands import python
 from scipy.integrate import ode
 
 from pinred.common.arrays import Array
-from pinred.judge import scipy_files
-from pinred.judge.hairer_integrators import Hairer
+from pinred.judge import reference_integrators
+from pinred.judge.reference_integrators import Hairer
 
 
 class Oscillator:
@@ -129,7 +129,7 @@ def test_files_of_scipy_are_loaded_without_their_packages() -> None:
     """Importing the packages takes longer than a comparison; the objects are the same files'."""
     code = (
         "import sys, numpy as np, pinred.judge.audit\n"
-        "from pinred.judge.scipy_files import dposv, ode\n"
+        "from pinred.judge.reference_integrators import dposv, ode\n"
         "print('scipy.integrate' in sys.modules, 'scipy.linalg' in sys.modules)\n"
         "import inspect, scipy.integrate, scipy.linalg.lapack\n"
         "print(inspect.getsource(ode) == inspect.getsource(scipy.integrate.ode))\n"
@@ -141,21 +141,24 @@ def test_files_of_scipy_are_loaded_without_their_packages() -> None:
 def test_coefficients_of_dense_output_are_those_of_scipy() -> None:
     """The file defines them for the class DOP853."""
     expected = scipy.integrate.DOP853
-    assert np.array_equal(scipy_files.A_EXTRA, expected.A_EXTRA)
-    assert np.array_equal(scipy_files.C_EXTRA, expected.C_EXTRA)
-    assert np.array_equal(scipy_files.D, expected.D)
+    assert np.array_equal(reference_integrators.A_EXTRA, expected.A_EXTRA)
+    assert np.array_equal(reference_integrators.C_EXTRA, expected.C_EXTRA)
+    assert np.array_equal(reference_integrators.D, expected.D)
 
 
 def test_objects_of_other_scipy_versions_are_imported_from_their_packages(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Where the file has another name, the package is imported."""
-    monkeypatch.setattr(scipy_files, "_FOLDER", Path("/proc/nothing"))
+    monkeypatch.setattr(reference_integrators, "_FOLDER", Path("/proc/nothing"))
     for folder in ("integrate", "linalg"):  # the entries of sys.modules are restored afterwards
-        package = f"{scipy_files.__name__}_{folder}"
+        package = f"{reference_integrators.__name__}_{folder}"
         monkeypatch.setitem(sys.modules, package, sys.modules[package])
         for module in ("_ode", "_flapack"):
             monkeypatch.delitem(sys.modules, f"{package}.{module}", raising=False)
-    assert scipy_files._load("integrate._ode", "ode", "scipy.integrate") is scipy.integrate.ode
-    result = scipy_files._load("linalg._flapack", "dposv", "scipy.linalg.lapack")
+    assert (
+        reference_integrators._load("integrate._ode", "ode", "scipy.integrate")
+        is scipy.integrate.ode
+    )
+    result = reference_integrators._load("linalg._flapack", "dposv", "scipy.linalg.lapack")
     assert result is scipy.linalg.lapack.dposv

@@ -7,7 +7,7 @@ import pytest
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.judge.hairer_integrators import Hairer
+from pinred.judge.reference_integrators import Hairer
 from pinred.judge.reference_solution import FINEST, FullState
 
 END = 20.0

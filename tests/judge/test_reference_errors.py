@@ -10,9 +10,8 @@ import pytest
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.judge.quadrature import integrate_residuals, node_times
-from pinred.judge.reference_errors import reference_errors
 from pinred.judge.reference_solution import FullState, Solution
+from pinred.judge.step_defects import integrate_residuals, node_times, reference_errors
 
 K, END = 3.0, 10.0
 TIMES = np.linspace(0.0, END, 101)

@@ -17,7 +17,7 @@ from forced_trees import tree
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import SeenState, Torque, Wrench
-from pinred.judge.hairer_integrators import Hairer
+from pinred.judge.reference_integrators import Hairer
 from pinred.judge.reference_solution import FINEST, PERTURBATION, FullState
 from pinred.lie import GROUPS
 from pinred.system.joints import axes_of

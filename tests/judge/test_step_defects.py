@@ -17,9 +17,15 @@ from tampering import tampered
 import pinred
 from pinred.common.arrays import Array
 from pinred.judge import step_defects as module
-from pinred.judge.quadrature import Quadrature, growth_over
 from pinred.judge.reference_solution import FullState
-from pinred.judge.step_defects import Defects, _sampled_steps, compute_defects, largest_defect
+from pinred.judge.step_defects import (
+    Defects,
+    Quadrature,
+    _sampled_steps,
+    compute_defects,
+    growth_over,
+    largest_defect,
+)
 from pinred.laboratory.stress.reference_motions import single
 
 RTOL, ATOL, END = 1e-9, 1e-11, 0.5

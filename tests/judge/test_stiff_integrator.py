@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pinred.common.arrays import Array
-from pinred.judge.stiff_integrator import NODES, StiffIntegrator, jacobian, spectral_radius
+from pinred.judge.reference_integrators import NODES, StiffIntegrator, jacobian, spectral_radius
 
 
 def integrate(rate: object, y0: list[float], end: float, tolerance: float) -> StiffIntegrator:

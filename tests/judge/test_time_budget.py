@@ -12,9 +12,13 @@ from tampering import offset, tampered
 
 import pinred
 from pinred.judge.compare import _compare
-from pinred.judge.hairer_integrators import Hairer
-from pinred.judge.stiff_integrator import StiffIntegrator
-from pinred.judge.time_budget import AbaStopped, TimeBudget, default_budget
+from pinred.judge.reference_integrators import (
+    AbaStopped,
+    Hairer,
+    StiffIntegrator,
+    TimeBudget,
+    default_budget,
+)
 from pinred.judge.verdict import Verdict
 
 

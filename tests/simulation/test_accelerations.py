@@ -11,7 +11,7 @@ from trees import random_model
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.judge.equation_errors import Accelerations, accelerations
+from pinred.judge.audit import Accelerations, accelerations
 from pinred.scene.scene import Engine
 
 TIMES = np.linspace(0.0, 0.5, 6)

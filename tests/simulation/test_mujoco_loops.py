@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.judge.coupling_constraints import CouplingConstraints
+from pinred.judge.full_system import CouplingConstraints
 
 _RANK = 1e-8  # smallest singular value of independent constraints, relative to the largest
 

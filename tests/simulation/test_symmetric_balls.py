@@ -14,8 +14,7 @@ from gyrostat import Gyrostat
 
 import pinred
 from pinred.forces import BallSpring, Torque, Wrench
-from pinred.judge.audit import audit_trajectory
-from pinred.judge.axial_momenta import axial_momentum_drifts
+from pinred.judge.audit import audit_trajectory, axial_momentum_drifts
 from pinred.lie.rotations import quaternion_exp, rotation
 from pinred.simulation import plan as plans
 from pinred.simulation.compiled.compiled_flow import CompiledFlow

@@ -11,7 +11,7 @@ from loop_robots import FOUR_BAR, four_bar
 
 import pinred
 from pinred.common.errors import InputError
-from pinred.judge.loop_errors import loop_errors
+from pinred.judge.full_system import loop_errors
 from pinred.system.constant_loops import with_constant_loops
 from pinred.system.coordinates import InitialState
 from pinred.system.loops.loop import Loop
