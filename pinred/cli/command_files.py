@@ -153,7 +153,7 @@ def show_motion(
 
         print(f"written to {out} ({save_rrd(motion, out, view) / 1e6:.2f} MB)")
     else:
-        from ..common.progress import ProgressBar
+        from ..common.waiting import ProgressBar
         from ..views.playback.film import save_film
 
         with ProgressBar("film   ", what="renders a film") as bar:

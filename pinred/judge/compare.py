@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, positive
 from ..common.errors import InputError
-from ..common.progress import Progress, shown
+from ..common.waiting import Progress, shown
 from ..simulation.contact.chain import Chain
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import State

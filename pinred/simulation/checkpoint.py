@@ -32,7 +32,6 @@ from ..common.names import quoted_path
 from ..common.object_cache import cache_key
 from ..common.packed_values import pack, unpack
 from ..integrators.run_keeper import SavedRun
-from ..kernels.build import model_bytes
 
 if TYPE_CHECKING:
     from .compiled.compiled_flow import CompiledFlow
@@ -318,6 +317,8 @@ def opened(path: str | Path) -> Iterator[Checkpoint]:
 
 def _fingerprint_of(flow: CompiledFlow, plan: Plan) -> str:
     """Return a text that identifies the motion of a plan, 64 hexadecimal digits."""
+    from ..kernels.build import model_bytes
+
     kernel, scene = flow.kernel, plan.scene
     forces = kernel.forces
     held = [] if forces is None else forces.held

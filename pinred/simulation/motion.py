@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any
 
@@ -22,7 +22,7 @@ from .control import Control, ControlAction, Replay
 from .events import Crossing, Watch, cut_at
 from .impacts import ImpactTable
 from .plan import Plan
-from .reduced_flow import Integrate, ReducedFlow, Sample, Segment, Segments, map_samples
+from .reduced_flow import Integrate, ReducedFlow, Sample, Segment, map_samples
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,44 @@ class Changes:
     which: Indices
     y: Array
     rates: Array
+
+
+class Segments(Sequence[Segment]):
+    """Segments in order of time.
+
+    Attributes:
+        steps: Number of accepted steps.
+        evaluations: Number of evaluations of the vector field.
+    """
+
+    def __init__(self, segments: Sequence[Segment]) -> None:
+        """Collect segments."""
+        self._segments = segments
+        self.steps = sum(segment.steps for segment in segments)
+        self.evaluations = sum(segment.evaluations for segment in segments)
+
+    @cached_property
+    def ends(self) -> Array:
+        """End times, (S,) [s]."""
+        return np.array([segment.end for segment in self._segments])
+
+    @cached_property
+    def knots(self) -> Array:
+        """Times of all step ends, (K,) sorted [s]."""
+        return np.unique(np.concatenate([segment.knots for segment in self]))
+
+    def reported(self, t: Array) -> Array | None:  # noqa: ARG002
+        """Return the reduced states (T, k) if `t` is the array of report times and they are stored.
+
+        A single segment stores them itself, so the result is None here.
+        """
+        return None
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+    def __getitem__(self, k: Any) -> Any:
+        return self._segments[k]
 
 
 class Motion:

@@ -18,7 +18,7 @@ from scipy.integrate import DOP853, DenseOutput, OdeSolution
 
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
-from ..common.progress import Progress
+from ..common.waiting import Progress
 from ..forces.force_values import BaseInSpace, ForceInputs
 from ..forces.switch_times import time_within
 from ..integrators.methods import DOP853_LEAST
@@ -30,10 +30,9 @@ from ..reduction.inertia_split import lost_inertia, symmetric
 from ..reduction.potential import shape_gravity
 from ..scene.initial_state import Start
 from ..system.state_fields import ShapeState, State
-from .integrate_plan import Again, integrate_plan
 from .plan import Plan
 from .reduced_flow import Integrate, Sample, Segment, entry_name, map_samples
-from .trajectory import Trajectory
+from .trajectory import Again, Trajectory, integrate_plan
 
 
 class Base:

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
 import numpy as np
 
@@ -193,44 +192,6 @@ class Segment:
         # Long steps have several parts; a step that ends in one of them counts.
         steps = -((1 - count) * self.steps // (len(self.knots) - 1))
         return replace(self, end=end, step_ends=step_ends, steps=steps)
-
-
-class Segments(Sequence[Segment]):
-    """Segments in order of time.
-
-    Attributes:
-        steps: Number of accepted steps.
-        evaluations: Number of evaluations of the vector field.
-    """
-
-    def __init__(self, segments: Sequence[Segment]) -> None:
-        """Collect segments."""
-        self._segments = segments
-        self.steps = sum(segment.steps for segment in segments)
-        self.evaluations = sum(segment.evaluations for segment in segments)
-
-    @cached_property
-    def ends(self) -> Array:
-        """End times, (S,) [s]."""
-        return np.array([segment.end for segment in self._segments])
-
-    @cached_property
-    def knots(self) -> Array:
-        """Times of all step ends, (K,) sorted [s]."""
-        return np.unique(np.concatenate([segment.knots for segment in self]))
-
-    def reported(self, t: Array) -> Array | None:  # noqa: ARG002
-        """Return the reduced states (T, k) if `t` is the array of report times and they are stored.
-
-        A single segment stores them itself, so the result is None here.
-        """
-        return None
-
-    def __len__(self) -> int:
-        return len(self.ends)
-
-    def __getitem__(self, k: Any) -> Any:
-        return self._segments[k]
 
 
 class Integrate(Protocol):

@@ -22,7 +22,7 @@ from ..common.arrays import Array, read_only
 from ..common.errors import InputError, IntegrationError
 from ..common.names import listed
 from ..common.parameter import Parameter
-from ..common.progress import Progress
+from ..common.waiting import Progress
 from ..forces.switch_times import time_within
 from ..forces.tracking import ComputedTorque, ComputedTorqueAtRest
 from ..integrators.methods import ErrorControl
@@ -48,12 +48,11 @@ from .impacts import (
     solve_complementarity,
     table_of,
 )
-from .integrate_plan import Again, trajectory_of_motion
 from .motion import Motion
 from .plan import Plan, plan_of
 from .reduced_flow import Integrate, ModeFlow, ReducedFlow, Sample, Segment
 from .stop_engines import StopEngine
-from .trajectory import Cost, Trajectory
+from .trajectory import Again, Cost, Trajectory, trajectory_of_motion
 
 _ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # of a position, relative
 _LEAST_GAP = 1e-18  # Smallest margin of a gap, for stops at zero [rad | m].

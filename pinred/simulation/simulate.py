@@ -14,7 +14,7 @@ from ..common.argument_kinds import checks_arguments, shows_fields
 from ..common.errors import AccuracyWarning, InputError, SceneWarning
 from ..common.memo import is_first
 from ..common.names import brief, listed, one_of
-from ..common.progress import LongRunNotice, Progress, shown
+from ..common.waiting import LongRunNotice, Progress, shown
 from ..integrators.methods import EqualSteps
 from ..scene.repeated_scene import scene_of
 from ..scene.scene import ENGINES, Engine, Scene

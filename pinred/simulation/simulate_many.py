@@ -12,7 +12,7 @@ from ..common.argument_kinds import checks_arguments, shows_fields
 from ..common.arrays import entries_of, whole
 from ..common.errors import InputError, IntegrationError, SceneWarning
 from ..common.names import brief, one_of
-from ..common.progress import Progress, shown
+from ..common.waiting import Progress, shown
 from ..scene.scene import Scene
 from ..scene.scene_options import SceneOptions
 from ..system.system import System, checked_system

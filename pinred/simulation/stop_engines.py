@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from ..common.progress import Progress
+from ..common.waiting import Progress
 from ..scene.scene import Engine
 from .compiled.compiled_flow import CompiledFlow
 from .compiled.integrator import integrator

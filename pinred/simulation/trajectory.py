@@ -1,9 +1,13 @@
-"""Trajectory: the result of a simulation, at the report times and at any other time."""
+"""Trajectory: the result of a simulation, at the report times and at any other time.
+
+`integrate_plan` makes it: from a plan and the flow of an engine.
+"""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -13,21 +17,23 @@ from numpy.typing import ArrayLike
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, NotCopyable, ShapeError
+from ..scene.scene import Engine, Scene
 from ..system.state_fields import ShapeState, State, arrays_of, map_arrays, torque_unit, with_base
-from .over_time import OverTime
+from .over_time import OverTime, save
 from .plan import Plan, plan_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ..scene.scene import Engine, Scene
     from ..system.system import System
     from .balances import EnergyBalance, MomentumBalance
+    from .checkpoint import RunRecord
     from .control import ControlAction
     from .events import Crossings
     from .impacts import ImpactTable
     from .limit_excess import LimitTable
-    from .motion import Motion
+    from .motion import Motion, Segments
+    from .reduced_flow import Integrate, ReducedFlow
 
 
 @dataclass(frozen=True)
@@ -308,6 +314,69 @@ class Trajectory(OverTime):
         Args:
             path: Path of the file; its suffix, .npz, .csv, .h5, .zarr or .xml, selects the format.
         """
-        from .over_time import save
-
         save(self, path)
+
+
+Again = Callable[[], Trajectory]
+
+
+def integrate_plan(
+    plan: Plan,
+    flow: ReducedFlow,
+    integrate: Integrate,
+    engine: Engine,
+    method: str,
+    again: Again,
+    through: Callable[[], Segments] | None = None,
+    record: RunRecord | None = None,
+    *,
+    thinned: bool = False,
+) -> Trajectory:
+    """Integrate a flow over the time of its plan, and measure the run.
+
+    Args:
+        plan: The plan.
+        flow: Reduced flow of the plan.
+        integrate: The function that integrates the flow.
+        engine: Name of the engine.
+        method: Name of the method.
+        again: Function that simulates the scene again; see Trajectory.
+        through: Integrates the flow through all stops; see `follow`.
+        record: Record of the run in a checkpoint; or None.
+        thinned: Whether segments do not store their step ends.
+    Returns:
+        The trajectory.
+    Raises:
+        IntegrationError: The integration failed, or a loop is singular.
+    """
+    from .motion import follow
+
+    started = time.perf_counter()
+    motion = follow(plan, flow, integrate, through, record, thinned=thinned)
+    wall = time.perf_counter() - started
+    if plan.system.closure is not None:
+        from .closed_loops import refuse_singular_loops
+
+        refuse_singular_loops(plan.system, motion)
+    run = Cost(engine, method, motion.steps, motion.evaluations, wall, plan.notices)
+    return trajectory_of_motion(plan, motion, run, again)
+
+
+def trajectory_of_motion(plan: Plan, motion: Motion, run: Cost, again: Again) -> Trajectory:
+    """Return the trajectory of an integrated plan, whose scene ends where the motion ends.
+
+    Args:
+        plan: The plan.
+        motion: Its motion.
+        run: Cost of the integration.
+        again: Function that simulates the scene again; see Trajectory.
+    """
+    terminal_crossing = motion.ended_by
+    scene = plan.scene if terminal_crossing is None else _until(plan.scene, terminal_crossing.t)
+    return Trajectory(scene, motion, run, again)
+
+
+def _until(scene: Scene, end: float) -> Scene:
+    """Return the scene with an earlier end, which is also a report time."""
+    t = scene.report_times
+    return replace(scene, duration=end, times=np.append(t[t < end], end))

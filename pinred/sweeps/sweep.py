@@ -18,8 +18,7 @@ from ..common.errors import InputError, RejectedWarning
 from ..common.files import is_folder
 from ..common.names import brief, nearest, one_of, quoted, quoted_path
 from ..common.optional_packages import install_command, optional_package, require_package
-from ..common.progress import Progress, shown
-from ..common.waiting import say
+from ..common.waiting import Progress, say, shown
 from ..common.zarr_folders import import_zarr
 from ..scene.scene import Scene
 from ..scene.scene_options import BLOCK, SAMPLERS, Sampler

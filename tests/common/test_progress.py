@@ -17,13 +17,13 @@ import pytest
 from nbclient import NotebookClient
 
 import pinred
-from pinred.common import progress
+from pinred.common import waiting
 
 ROOT = Path(__file__).parents[2]
 CLEAR = "\r\033[K"
 WORK = """
 import time
-from pinred.common.progress import ProgressBar
+from pinred.common.waiting import ProgressBar
 
 try:
     with ProgressBar("falling <b>") as bar:
@@ -71,7 +71,7 @@ CELLS = (
     # 0: a bar that stays open, so that the test can read it
     """
     import time
-    from pinred.common.progress import ProgressBar
+    from pinred.common.waiting import ProgressBar
     print("before")
     bar = ProgressBar("falling <b>").__enter__()
     time.sleep(0.6)
@@ -84,8 +84,8 @@ CELLS = (
     "bar.__exit__(None, None, None)",
     # 2: public functions, without the initial delay, so that short work shows a bar
     """
-    import pinred, pinred.common.waiting, pinred.common.progress
-    pinred.common.progress._PATIENCE = pinred.common.progress._EVERY = 0.0
+    import pinred, pinred.common.waiting, pinred.common.waiting
+    pinred.common.waiting._PATIENCE = pinred.common.waiting._EVERY = 0.0
     pinred.common.waiting._PATIENCE = 600.0  # Caches may be empty.
     cat = pinred.load("falling_cat")
     traj = pinred.simulate(cat, duration=0.5, progress=True)
@@ -93,7 +93,7 @@ CELLS = (
     "pinred.compare(traj, progress=True)",
     # 4: short work leaves no output
     """
-    pinred.common.progress._PATIENCE = 60.0
+    pinred.common.waiting._PATIENCE = 60.0
     traj = pinred.simulate(cat, duration=0.5, progress=True)
     """,
 )
@@ -168,9 +168,9 @@ def test_progress_accepts_flags_and_functions(monkeypatch: pytest.MonkeyPatch) -
         def clear(self) -> None:
             drawn.append(("cleared", 1.0))
 
-    monkeypatch.setattr(progress, "_screen", Screen)
-    monkeypatch.setattr(progress, "_PATIENCE", 0.0)
-    monkeypatch.setattr(progress, "_EVERY", 0.0)
+    monkeypatch.setattr(waiting, "_screen", Screen)
+    monkeypatch.setattr(waiting, "_DRAW_AFTER", 0.0)
+    monkeypatch.setattr(waiting, "_REDRAW", 0.0)
     system = pinred.load("elroys_beanie")
     for engine in ("compiled", "pinocchio"):
         drawn.clear()
@@ -205,22 +205,22 @@ def test_bar_shows_rate_and_remaining_time(monkeypatch: pytest.MonkeyPatch) -> N
         def clear(self) -> None:
             pass
 
-    monkeypatch.setattr(progress, "_screen", Screen)
-    monkeypatch.setattr("pinred.common.progress.time.monotonic", lambda: now[0])
-    with progress.ProgressBar("sweep", 1000, "points") as bar:
+    monkeypatch.setattr(waiting, "_screen", Screen)
+    monkeypatch.setattr("pinred.common.waiting.time.monotonic", lambda: now[0])
+    with waiting.ProgressBar("sweep", 1000, "points") as bar:
         for elapsed, part in ((0.0, 0.5), (10.0, 0.6), (20.0, 0.95), (30.0, 1.0)):
             now[0] = 100.0 + elapsed
             bar(part)
     assert lines == [
         ", 10 points/s, 40 s left", ", 22.5 points/s, 2 s left", ", 16.7 points/s, 0 s left",
     ]  # fmt: skip
-    assert progress._duration(3725.0) == "1 h 02 min"
-    assert progress._duration(125.0) == "2 min 05 s"
+    assert waiting._duration(3725.0) == "1 h 02 min"
+    assert waiting._duration(125.0) == "2 min 05 s"
 
 
 def test_long_work_warns_once_of_its_remaining_time() -> None:
     """The estimate is that of the completed fraction, after some seconds."""
-    from pinred.common.progress import LongRunNotice
+    from pinred.common.waiting import LongRunNotice
 
     now = [0.0]
     notice = LongRunNotice("1e8 steps", lambda: now[0])
@@ -243,8 +243,8 @@ def test_many_equal_steps_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     cat = pinred.load("falling_cat")
     options: dict[str, Any] = {"duration": 0.1, "xdot0": [0.1, 0.2, 0.3], "momentum": 0}
     plain = pinred.simulate(cat, method=pinred.Gauss(step=1e-4), **options)
-    monkeypatch.setattr("pinred.common.progress._NOTICE_AFTER", 0.0)
-    monkeypatch.setattr("pinred.common.progress._LONG_WORK", 0.0)
+    monkeypatch.setattr("pinred.common.waiting._NOTICE_AFTER", 0.0)
+    monkeypatch.setattr("pinred.common.waiting._LONG_WORK", 0.0)
     pinred.simulate(cat, method=pinred.Gauss(step=1e-4), **options)
     monkeypatch.setattr(module, "_MANY_STEPS", 100)
     with pytest.warns(UserWarning, match=r"Gauss: 1e\+03 steps of 0\.0001 s are a long run"):

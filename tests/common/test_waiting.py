@@ -15,8 +15,7 @@ from numba import njit
 import pinred
 from pinred.common import waiting
 from pinred.common.compile_notice import notice_of_compiling
-from pinred.common.progress import ProgressBar, shown
-from pinred.common.waiting import Wait
+from pinred.common.waiting import ProgressBar, Wait, shown
 from pinred.integrators.stepping import numba_functions, numba_notice
 from pinred.sweeps.sweep import PointsDone
 

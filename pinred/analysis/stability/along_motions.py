@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, positive
 from ...common.errors import InputError
-from ...common.progress import Progress, shown
-from ...common.waiting import Wait
+from ...common.waiting import Progress, Wait, shown
 from ...forces.force_values import ForceInputs
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of

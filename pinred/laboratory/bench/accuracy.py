@@ -18,7 +18,7 @@ import numpy as np
 from ...common.argument_kinds import checks_arguments
 from ...common.errors import IntegrationError, PinredError
 from ...common.files import write_atomic, write_table
-from ...common.progress import Progress, ProgressBar, quiet, shown
+from ...common.waiting import Progress, ProgressBar, quiet, shown
 from ...judge.distances import FullMotion
 from .problems import Problem, compute_drift, problems_named
 from .reference import Reference, reference_of

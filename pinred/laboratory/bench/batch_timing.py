@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError, PinredError
-from ...common.progress import Progress, one_by_one, quiet, shown
+from ...common.waiting import Progress, one_by_one, quiet, shown
 from ...judge.distances import FullMotion
 from ...judge.reference_solution import FINEST
 from ...scene.initial_state import random_state

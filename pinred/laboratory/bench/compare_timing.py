@@ -10,7 +10,7 @@ import numpy as np
 
 from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
-from ...common.progress import Progress, one_by_one
+from ...common.waiting import Progress, one_by_one
 from ...forces.kinds import Damper
 from ...judge.compare import compare
 from ...simulation.simulate import simulate

@@ -22,7 +22,7 @@ from ...analysis.stability.along_motions import floquet, linearise
 from ...analysis.stability.linearised_flow import without_base
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
-from ...common.progress import Progress, one_by_one
+from ...common.waiting import Progress, one_by_one
 from ...kernels.state_jacobian import jacobian_of
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...scene.scene import Scene

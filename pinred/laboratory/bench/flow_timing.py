@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
-from ...common.progress import Progress, one_by_one
+from ...common.waiting import Progress, one_by_one
 from ...integrators.integrate import Integration
 from ...integrators.methods.method import stepper_of
 from ...integrators.run_derivatives import run_back

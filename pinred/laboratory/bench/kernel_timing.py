@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
-from ...common.progress import Progress, one_by_one, quiet, shown
+from ...common.waiting import Progress, one_by_one, quiet, shown
 from ...forces import SeenState, Torque, Wrench
 from ...forces.force_model import ForceModel
 from ...kernels.build import build_kernel

@@ -19,7 +19,7 @@ import pinocchio as pin
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, read_only
 from ...common.errors import PinredError
-from ...common.progress import Progress, one_by_one
+from ...common.waiting import Progress, one_by_one
 from ...forces.force import Force
 from ...forces.kinds import PD, Damper, Spring
 from ...integrators.methods.method import ATOL, RTOL

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
-from ...common.progress import Progress, one_by_one
+from ...common.waiting import Progress, one_by_one
 from ...scene.scene import Scene
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory

@@ -22,7 +22,7 @@ import pinocchio as pin
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
-from ...common.progress import Progress, quiet, shown
+from ...common.waiting import Progress, quiet, shown
 from ...scene.scene import Scene
 from ...simulation.simulate import simulate
 from ...system.load import load

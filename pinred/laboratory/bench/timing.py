@@ -11,7 +11,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.object_cache import ObjectCache
-from ...common.progress import Progress, quiet
+from ...common.waiting import Progress, quiet
 from ...kernels.evaluate import repeat
 from ...kernels.kernel import Kernel
 from ...system.robot_files import has_example_robots

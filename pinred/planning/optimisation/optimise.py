@@ -14,7 +14,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, positive, whole
 from ...common.errors import InputError, IntegrationError, NoOptimum, SingularInertiaError
 from ...common.names import brief
-from ...common.progress import Progress, shown
+from ...common.waiting import Progress, shown
 from .best_gait import BestGait, Optimum, group_optima
 from .gait_search import (
     RESIDUAL,

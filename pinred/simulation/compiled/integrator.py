@@ -25,7 +25,7 @@ from ...common.errors import (
 )
 from ...common.memo import once
 from ...common.names import quoted
-from ...common.progress import Progress
+from ...common.waiting import Progress
 from ...forces.switch_times import time_within
 from ...integrators.integrate import Integration, Parts, integrate_parts
 from ...integrators.methods import EqualSteps, ErrorControl, Method
@@ -39,10 +39,10 @@ from ...reduction.inertia_split import lost_inertia
 from ...scene.scene import Scene
 from ..checkpoint import Checkpoint, Part, RunRecord
 from ..closed_loops import near_singular_loops
-from ..integrate_plan import Again, integrate_plan
+from ..motion import Segments
 from ..plan import Plan
-from ..reduced_flow import Integrate, Segment, Segments
-from ..trajectory import Trajectory
+from ..reduced_flow import Integrate, Segment
+from ..trajectory import Again, Trajectory, integrate_plan
 from .compiled_flow import CompiledFlow
 
 

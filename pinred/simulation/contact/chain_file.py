@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
-from ...common.progress import Progress
+from ...common.waiting import Progress
 from ...scene.scene import Engine
 from ...scene.toml.file_place import naming
 from ...scene.toml.reader import LaterPhase, SceneFile, read_scene_file

@@ -26,8 +26,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError, OutputError
 from ...common.files import check_path, write_atomic
 from ...common.optional_packages import install_command
-from ...common.progress import Progress, one_by_one, quiet, shown
-from ...common.waiting import say
+from ...common.waiting import Progress, one_by_one, quiet, say, shown
 from ...simulation.simulate import simulate
 from ...system.load import load
 from ...system.robot_files import has_example_robots
