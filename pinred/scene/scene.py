@@ -1,11 +1,19 @@
 """Scene: an immutable description of a simulation, with validated options and initial state.
 
 The option `parameters` states robot parameters together with force parameters.
+
+A scene checks its options and builds its force model once for each structure, that is, for all
+options except the numbers of the initial state.  A system keeps the structures that were used most
+recently.  A scene with an option that may change in place, such as a controller, shares nothing.
+
+`scene_of` copies the checked options of an earlier scene that differs only in the numbers of the
+initial state, and checks the initial state only.  The key of a call contains the values of all
+other options, so an option that was changed in place gets its own scene.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -16,7 +24,6 @@ import numpy as np
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import (
     Array,
-    as_floats,
     copied,
     positive,
     read_only,
@@ -28,15 +35,16 @@ from ..common.default_marker import is_given
 from ..common.errors import InputError
 from ..common.html import card, line, numbers, table
 from ..common.memo import recent
-from ..common.names import brief, listed, one_of
-from ..common.parameter import Parameter, VectorParameter, by_name, refuse_entry
+from ..common.names import brief, one_of
+from ..common.parameter import Parameter, by_name
 from ..forces.controller import Controller
 from ..forces.force import Force
+from ..forces.force_model_cache import PLAIN, NotKeyedError, key_of, key_of_force
 from ..forces.signals import Attitude, Constant
 from ..forces.signals.attitude_signal import parse_attitude
 from ..integrators.methods import DOP853_LEAST, AdaptiveGauss, ErrorControl, Method
 from ..system.coordinates import InitialState
-from ..system.model_parameters import ModelParameters, joined, kinds_near, plain_value, requested
+from ..system.model_parameters import ModelParameters
 from ..system.robot_file_contents import Keyframe
 from ..system.system import System, checked_system, nominal
 from . import input_formats
@@ -60,9 +68,11 @@ from .initial_state import (
     start_of,
 )
 from .input_formats import (
+    GivenParameters,
     check_keyframe,
     check_span,
     compute_report_times,
+    given_parameters,
     list_forces,
 )
 from .scene_options import (
@@ -75,7 +85,6 @@ from .scene_options import (
 )
 from .scene_options import ENGINES as ENGINES
 from .scene_options import Engine as Engine
-from .scene_structure import MOST_STRUCTURES, Shared, structure_key
 from .stop import Bound, bounds_of, parse_stops, starts_beyond
 
 if TYPE_CHECKING:
@@ -83,91 +92,75 @@ if TYPE_CHECKING:
     from ..forces.formula import Watched
 
 
-@dataclass(frozen=True, eq=False)
-class GivenParameters:
-    """The option `parameters` of a scene, joined with the parameters that its system has.
+_NUMBERS = frozenset({float, int})
+MOST_STRUCTURES = 16  # largest number of structures that a system keeps
+_STATE = tuple(name for name, option in SCENE_OPTIONS.items() if option.table == "start")
+_OTHERS = tuple(name for name in SCENE_OPTIONS if name not in _STATE)
+
+
+class Shared:
+    """The checked options of all scenes of one structure.
+
+    Plans store here what they compute for all of these scenes.
 
     Attributes:
-        values: {name: value} as stated in the option.
-        requested: Names of Parameters in forces that the option lists without values.
-        varied: The robot parameters in the option; None if there are none.
-        numbers: {name: values} of the robot parameters, as arrays.
-        system: The robot with these parameters.
+        options: Fields of a scene that do not depend on the initial state.
     """
 
-    values: Mapping[str, Any]
-    requested: Sequence[str]
-    varied: ModelParameters | None
-    numbers: Mapping[str, Array]
-    system: System
-
-    def checked(self, known: Mapping[str, Parameter | VectorParameter]) -> dict[str, Any]:
-        """Return all parameters as numbers and arrays.
-
-        Args:
-            known: The Parameters in forces and events, by name.
-        Returns:
-            {name: number or array}.
-        Raises:
-            InputError: a name is unknown, or belongs to both the robot and a force.
-            ShapeError: a value has the wrong shape.
-        """
-        parameters: dict[str, Any] = {}
-        for name, value in self.values.items():
-            if name in self.numbers:
-                if name in known:
-                    raise InputError(
-                        f"parameters: '{name}' is a robot parameter and also the name of a "
-                        "Parameter in forces. Rename the Parameter."
-                    )
-                parameters[name] = plain_value(self.numbers[name])
-                continue
-            self._check(name, known)
-            what, parameter = f"parameters['{name}']", known[name]
-            if isinstance(parameter, VectorParameter):
-                parameters[name] = read_only(vector(value, len(parameter), what).copy())
-                continue
-            number = np.ravel(as_floats(value, what))
-            parameters[name] = float(vector(number, 1, what)[0])
-        for name in self.requested:
-            self._check(name, known)
-        return parameters
-
-    def _check(self, name: object, known: Mapping[str, Parameter | VectorParameter]) -> None:
-        if name not in known:
-            refuse_entry(name, known, "parameters")
-            names = list(known)
-            raise InputError(
-                f"parameters: there is no {brief(name)}; {kinds_near(self.system, name, names)}; "
-                f"the Parameters in forces and signals here are {listed(names, 60) or 'none'}"
-            )
+    def __init__(self, options: Mapping[str, Any]) -> None:
+        """Store the checked options."""
+        self.options = options
 
 
-def given_parameters(system: System, parameters: Any) -> GivenParameters:
-    """Join the option `parameters` of a scene with the parameters that its system has.
+def structure_key(scene: SceneFields) -> Hashable:
+    """Return the key of a scene whose options are not yet checked; None without a key."""
+    options = vars(scene)
+    if not is_empty_table(options["parameters"]):
+        return None  # Robot parameters replace the system.
+    if options["hold"] == "others":
+        return None  # The initial state is that of the joints that are held.
+    try:
+        key = (
+            tuple([_key_of_state(options[name]) for name in _STATE]),
+            *[key_of_option(options[name]) for name in _OTHERS],
+        )
+        hash(key)
+    except (NotKeyedError, TypeError):
+        return None  # The checks of the scene report an invalid option.
+    return key
 
-    A parameter of the system keeps its value unless the option has another value.
 
-    Args:
-        system: The robot.
-        parameters: {name: value}, names, or "all" (see Scene).
-    Returns:
-        The parameters, and the robot with their values.
-    Raises:
-        InputError: a link or joint is unknown, a value is not physical, or two names set
-            the same property.
-    """
-    original, present = nominal(system), system.parameters
-    values, others = requested(original, parameters)
-    if isinstance(parameters, Mapping):
-        values = joined(present, values)
-    else:  # Names without values keep the values that the system has.
-        values |= present
-    varied = ModelParameters(original, list(values))
-    numbers = varied.checked(values)
-    return GivenParameters(
-        values, others, varied if varied.names else None, numbers, varied.system(numbers)
-    )
+def is_empty_table(value: Any) -> bool:
+    """Return whether a value is a mapping without entries."""
+    return type(value) in (dict, MappingProxyType) and not value
+
+
+def _key_of_state(value: Any) -> Hashable:
+    """Return whether an option of the initial state is stated; the name itself of a keyframe."""
+    return value if type(value) is str else value is not None
+
+
+def key_of_option(value: Any) -> Hashable:
+    """Return the key of an option that does not belong to the initial state."""
+    kind = type(value)
+    if kind in PLAIN:
+        return kind, value
+    if kind in (dict, tuple) and not value:
+        return kind.__name__
+    if kind is np.ndarray:
+        return key_of(value)
+    if kind is list and {*map(type, value)} <= _NUMBERS:
+        return kind, tuple(map(type, value)), tuple(value)
+    if isinstance(value, Force):
+        return key_of_force(value)
+    if kind in (list, tuple) and any(isinstance(entry, Force) for entry in value):
+        return kind, tuple(map(key_of_option, value))
+    if isinstance(value, Method):
+        # Equal methods may differ in whether the user stated their tolerances.
+        return kind, key_of(vars(value))
+    if kind is MappingProxyType:
+        return key_of(dict(value))
+    return key_of(value)
 
 
 TIGHTEST = 1e-14  # smallest relative tolerance; below it, round-off determines the step size
@@ -672,3 +665,93 @@ def scene_card(scene: Any) -> str:
         line(f"pose of the base: {numbers(start.pose)}"),
         table("acting", ["", ""], acting),
     )
+
+
+_STATES = frozenset(ARRAYS_OF_STATE)
+_ARRAYS = frozenset({np.ndarray, list, tuple})  # Their entries are checked in each scene.
+
+
+class _Repeated:
+    """The checked options of a scene, without its initial state."""
+
+    def __init__(self, scene: Scene, options: Mapping[str, Any]) -> None:
+        """Store the validated options of `scene`, which was built from `options`."""
+        self.states = [name for name in options if name in _STATES]
+        self.others = [name for name in options if name not in _STATES]
+        stated = {*self.states, "_given", "_once", "start"}
+        self.checked = {name: v for name, v in vars(scene).items() if name not in stated}
+        # Validation returns these options unchanged, so each scene uses its own.
+        self.kept = [n for n in self.others if n not in scene.shared.options]
+
+    def with_state(self, options: Mapping[str, Any]) -> Scene:
+        """Build a scene from options with the same key as those of the earlier scene."""
+        scene = object.__new__(Scene)
+        values = vars(scene)
+        values.update(self.checked)
+        for name in self.states:
+            values[name] = options[name]
+        for name in self.kept:
+            values[name] = options[name]
+        if "forces" in self.others:
+            values["forces"] = list_forces(options["forces"])
+        values["prescribed"] = dict(values["prescribed"])
+        values["controls"] = dict(values["controls"])
+        if "springs" not in self.others:
+            values["springs"] = {}
+        scene.resolve_state()
+        return scene
+
+
+def scene_of(system: System, options: Mapping[str, Any]) -> Scene:
+    """Return Scene(system=system, **options), faster if only the initial state is new.
+
+    Args:
+        system: The system.
+        options: Fields of Scene.
+    Returns:
+        The scene.
+    Raises:
+        InputError: An option is not valid, or the options contradict each other.
+        ShapeError: An array has the wrong shape.
+    """
+    key = _key_of_call(options)
+    if key is None:
+        return Scene(system=system, **options)
+    first: Scene | None = None
+
+    def make() -> _Repeated:
+        nonlocal first
+        first = Scene(system=system, **options)
+        return _Repeated(first, options)
+
+    repeated = recent(system, key, make, MOST_STRUCTURES, _Repeated)
+    return repeated.with_state(options) if first is None else first
+
+
+def _key_of_call(options: Mapping[str, Any]) -> Hashable:
+    """Return the key of a call; None if the initial state does not consist of arrays and lists."""
+    try:
+        key = tuple(
+            [
+                (name, (name in _STATES and type(value) in _ARRAYS) or _key_of(name, value))
+                for name, value in options.items()
+            ]
+        )
+        hash(key)
+    except (NotKeyedError, TypeError):
+        return None  # Scene reports an invalid option.
+    return key
+
+
+def _key_of(name: str, value: Any) -> Hashable:
+    if name in _STATES:
+        if value is None:
+            return False
+        raise NotKeyedError
+    if name == "seed" and value is not None:
+        raise NotKeyedError  # The state is drawn for each scene.
+    if name == "parameters" and not is_empty_table(value):
+        raise NotKeyedError  # Robot parameters replace the system.
+    if name == "hold" and value == "others":
+        raise NotKeyedError  # The initial state is that of the joints that are held.
+    return key_of_option(value)

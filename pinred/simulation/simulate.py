@@ -16,8 +16,7 @@ from ..common.memo import is_first
 from ..common.names import brief, listed, one_of
 from ..common.waiting import LongRunNotice, Progress, shown
 from ..integrators.methods import EqualSteps
-from ..scene.repeated_scene import scene_of
-from ..scene.scene import ENGINES, Engine, Scene
+from ..scene.scene import ENGINES, Engine, Scene, scene_of
 from ..scene.scene_options import SceneOptions
 from ..system.model_parameters import joined
 from ..system.system import System, checked_system, nominal

@@ -17,9 +17,8 @@ from pinred.common.errors import InputError, ShapeError
 from pinred.common.memo import recent
 from pinred.forces import PD, Controller, Damper, Torque, Wrench
 from pinred.forces.force_model_cache import cached_force_model
-from pinred.scene.repeated_scene import scene_of
+from pinred.scene.scene import Shared, scene_of
 from pinred.scene.scene_options import ARRAYS_OF_STATE
-from pinred.scene.scene_structure import Shared
 from pinred.signals import Attitude
 from pinred.simulation.compiled.compiled_flow import CompiledFlow, flows_of
 from pinred.simulation.plan import plan_of

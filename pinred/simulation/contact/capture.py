@@ -24,8 +24,7 @@ from ...common.arrays import Array, positive
 from ...common.errors import InputError
 from ...common.names import quoted
 from ...reduction.inertia_split import mass_matrix_at
-from ...scene.repeated_scene import scene_of
-from ...scene.scene import Scene
+from ...scene.scene import Scene, scene_of
 from ...system.assembly import renamed, reversed_balls, take_apart
 from ...system.derived_systems import (
     Instant,
