@@ -6,7 +6,7 @@ import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import wraps
+from functools import cached_property, wraps
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -176,7 +176,7 @@ class Group(ABC):
         """Names of the twist entries in plain letters: v for translations, w for rotations."""
         return tuple(name.replace("p", "v", 1).replace("L", "w", 1) for name in self.momentum_names)
 
-    @property
+    @cached_property
     def momentum_names(self) -> tuple[str, ...]:
         """Names of the momentum entries: p for translations, L for rotations, with axes."""
         p, L = self.axes[: self.linear], self.axes[self.linear :]

@@ -34,7 +34,7 @@ from ..common.arrays import (
 from ..common.default_marker import is_given
 from ..common.errors import InputError
 from ..common.html import card, line, numbers, table
-from ..common.memo import recent
+from ..common.memo import once, recent
 from ..common.names import brief, one_of
 from ..common.parameter import Parameter, by_name
 from ..forces.controller import Controller
@@ -540,9 +540,12 @@ class Scene(SceneFields):
         """Return the initial state that the options state."""
         system = self.system
         keyframe = None if self.keyframe is None else system.keyframes[self.keyframe]
-        pose = system.group.identity() if keyframe is None else keyframe.pose
         if self.pose0 is not None:
             pose = system.group.pose(self.pose0)
+        elif keyframe is not None:
+            pose = keyframe.pose
+        else:
+            pose = once(system, GivenStates, lambda: read_only(system.group.identity()))
         x, xdot, xi = self._initial_shape(), np.zeros(system.m), np.zeros(system.r)
         if self.q0 is not None:
             configuration = input_formats.parse_configuration(self.q0, system)
@@ -591,7 +594,8 @@ class Scene(SceneFields):
         if x0 is None:
             closure = self.system.closure
             return space.neutral if closure is None else closure.x
-        return space.normalized(vector(x0, space.nx, "x0", space.x_names), "x0", near=False)
+        x = vector(x0, space.nx, "x0", space.x_names)
+        return space.normalized(x, "x0", near=False) if space.balls else x
 
     def with_prescribed(self, x: Array, xdot: Array) -> tuple[Array, Array]:
         """Replace the entries of the prescribed joints by their values at time 0.
@@ -668,7 +672,8 @@ def scene_card(scene: Any) -> str:
 
 
 _STATES = frozenset(ARRAYS_OF_STATE)
-_ARRAYS = frozenset({np.ndarray, list, tuple})  # Their entries are checked in each scene.
+# Types of values of the initial state, which each scene checks.
+_CHECKED = frozenset({np.ndarray, list, tuple, float, int})
 
 
 class _Repeated:
@@ -733,7 +738,7 @@ def _key_of_call(options: Mapping[str, Any]) -> Hashable:
     try:
         key = tuple(
             [
-                (name, (name in _STATES and type(value) in _ARRAYS) or _key_of(name, value))
+                (name, (name in _STATES and type(value) in _CHECKED) or _key_of(name, value))
                 for name, value in options.items()
             ]
         )

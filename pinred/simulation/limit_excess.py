@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -110,7 +110,8 @@ def limit_table(plan: Plan, motion: Motion) -> LimitTable:
     inside = (ends[:-1, None] + np.diff(ends)[:, None] * parts).ravel()
     t = _some(np.unique(np.concatenate([inside, ends, plan.scene.report_times])), _MOST_TIMES)
     times = _some(t, _MOST_EFFORTS)
-    efforts = _efforts(plan, motion, times) if _states_efforts(plan.system) else {}
+    is_bounded = any(limit.kind == "effort" for limit in limits_of(plan.system))
+    efforts = _efforts(plan, motion, times) if is_bounded else {}
     return LimitTable(tuple(_uses(plan.system, motion.states(t), times, efforts)))
 
 
@@ -129,14 +130,15 @@ def excess_notice(plan: Plan, motion: Motion, states: ShapeState | State) -> str
         The sentence.
     """
     system = plan.system
-    if not limits_of(system):
+    bounds = once(system, _Bounds, lambda: _bounds_of(system))
+    if not bounds.are_stated:
         return ""
     few, efforts = states.t[:0], dict[str, Array]()
     forces = plan.forces
-    if forces is not None and _states_efforts(system) and is_first(forces, LimitTable):
+    if forces is not None and bounds.efforts and is_first(forces, LimitTable):
         few = _some(states.t, _QUICK_EFFORTS)
         efforts = _efforts(plan, motion, few)
-    if not _any_beyond(system, states, efforts):
+    if not _any_beyond(bounds, states, efforts):
         return ""
     uses = LimitTable(tuple(_uses(system, states, few, efforts))).exceeded
     names = frozenset((use.limit.joint, use.limit.kind) for use in uses)
@@ -153,35 +155,48 @@ def excess_notice(plan: Plan, motion: Motion, states: ShapeState | State) -> str
     )
 
 
-def _states_efforts(system: System) -> bool:
-    return any(limit.kind == "effort" for limit in limits_of(system))
+class _Bounds(NamedTuple):
+    """The limits of a robot's file as bounds of the fields of a state.
+
+    Attributes:
+        are_stated: Whether the file states a limit.
+        x: Lowest and highest shapes, (2, nx) [rad | m | 1].
+        xdot: Lowest and highest shape rates, (2, m) [rad/s | m/s].
+        efforts: Largest efforts of joints, {joint: [N·m | N]}.
+        of_followers: Whether a follower, which is no entry of the state, has a limit.
+    """
+
+    are_stated: bool
+    x: Array
+    xdot: Array
+    efforts: Mapping[str, float]
+    of_followers: bool
 
 
-def _any_beyond(system: System, states: ShapeState | State, efforts: Mapping[str, Array]) -> bool:
+def _bounds_of(system: System) -> _Bounds:
+    x, xdot = (np.tile([[-np.inf], [np.inf]], size) for size in (system.nx, system.m))
+    joints, limits = {joint.name: joint for joint in system.space.joints}, limits_of(system)
+    for limit in limits:
+        joint = joints.get(limit.joint)
+        if joint is not None and limit.kind == "position":
+            x[:, joint.x] = [[limit.lower], [limit.upper]]
+        elif joint is not None and limit.kind == "rate":
+            xdot[:, joint.v] = [[limit.lower], [limit.upper]]
+    efforts = {limit.joint: limit.upper for limit in limits if limit.kind == "effort"}
+    of_followers = any(limit.joint not in joints for limit in limits)
+    return _Bounds(bool(limits), x, xdot, efforts, of_followers)
+
+
+def _any_beyond(bounds: _Bounds, states: ShapeState | State, efforts: Mapping[str, Array]) -> bool:
     """Return whether a limit is exceeded, or whether followers have limits."""
-
-    def bounds() -> tuple[Array, Array, Array, Array, bool]:
-        x, xdot = (np.tile([[-np.inf], [np.inf]], size) for size in (system.nx, system.m))
-        joints, others = {joint.name: joint for joint in system.space.joints}, False
-        for limit in limits_of(system):
-            joint = joints.get(limit.joint)
-            others |= joint is None
-            if joint is not None and limit.kind == "position":
-                x[:, joint.x] = [[limit.lower], [limit.upper]]
-            elif joint is not None and limit.kind == "rate":
-                xdot[:, joint.v] = [[limit.lower], [limit.upper]]
-        return *x, *xdot, others
-
-    low, high, slow, fast, has_others = once(system, LimitUse, bounds)
-    x, xdot = states.x, states.xdot
+    x, xdot, (low, high), (slow, fast) = states.x, states.xdot, bounds.x, bounds.xdot
     return bool(
-        has_others
+        bounds.of_followers
         or ((x < low) | (x > high)).any()
         or ((xdot < slow) | (xdot > fast)).any()
         or any(
-            np.abs(efforts[limit.joint]).max() > limit.upper
-            for limit in limits_of(system)
-            if limit.kind == "effort" and limit.joint in efforts
+            np.abs(efforts[name]).max() > bounds.efforts[name]
+            for name in efforts.keys() & bounds.efforts.keys()
         )
     )
 

@@ -231,6 +231,20 @@ class Plan:
             return replace(method, max_step=self.longest)
         return method
 
+    @cached_property
+    def method_name(self) -> str:
+        """Name of the method."""
+        return self.method.name
+
+    @cached_property
+    def divisions(self) -> int:
+        """Number of parts into which a step is divided for its users.
+
+        Balances fit polynomials of degree 7 between knots, so steps of eight stages are split.
+        """
+        method = self.method
+        return max(1, method.order // 4) if method.lanes > 1 else 1
+
     def limited(self, longest: float, stops: Array) -> Plan:
         """Return a plan with a longest step [s] and further stops, (U,) [s]."""
         return replace(self, longest=longest, stops=joined_stops(self.stops, stops))

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from ..common.argument_kinds import checks_arguments, shows_fields
 from ..common.errors import AccuracyWarning, InputError, SceneWarning
-from ..common.memo import is_first
-from ..common.names import brief, listed, one_of
+from ..common.memo import is_first, once
+from ..common.names import brief, listed
 from ..common.waiting import LongRunNotice, Progress, shown
 from ..integrators.methods import EqualSteps
 from ..scene.scene import ENGINES, Engine, Scene, scene_of
@@ -71,14 +71,14 @@ def simulate(
         IntegrationError: The integrator cannot continue, or `check` finds a skipped force.
         KernelMismatch: A compiled kernel disagrees with Pinocchio.
     """
-    if not one_of(engine, ENGINES):
+    if not (isinstance(engine, str) and engine in ENGINES):
         raise InputError(f"engine: expected one of {', '.join(ENGINES)}, got {brief(engine)}")
     scene = as_scene(scene, options, "simulate")
     if engine == "pinocchio" and scene.method != "auto":
         raise InputError(
             "method: expected none with engine 'pinocchio', which integrates with SciPy's DOP853"
         )
-    plan = plan_of(without_own(scene))
+    plan = plan_of(scene if scene.varied is None else without_own(scene))
     if explain:
         from .explain import explain as explained
 
@@ -155,11 +155,11 @@ def _simulated(
         from .run_with_stops import refuse_with_stops, run_with_stops
 
         if engine == "compiled":
-            expect_integration(plan.method)
+            _expect_code(plan)
         refuse_with_stops(plan, check=check, checkpoint=checkpoint is not None)
         run = partial(run_with_stops, progress=progress, again=again, engine=engine)
     elif engine == "compiled":
-        expect_integration(plan.method)  # before the kernels are imported
+        _expect_code(plan)  # before the kernels are imported
         from .compiled.integrator import run_compiled
 
         run = partial(run_compiled, progress=progress, again=again, checkpoint=checkpoint)
@@ -175,6 +175,11 @@ def _simulated(
     if engine == "compiled":
         check_has_step_control(plan)
     return resolve_steps(plan, resolved(plan), resolved)
+
+
+def _expect_code(plan: Plan) -> None:
+    """Let other threads generate the code of the plan's method, once for scenes of a structure."""
+    once(plan.scene.shared, expect_integration, partial(expect_integration, plan.method))
 
 
 def _resolved(plan: Plan, run: Callable[[Plan], Trajectory], engine: Engine) -> Trajectory:

@@ -84,8 +84,8 @@ CELLS = (
     "bar.__exit__(None, None, None)",
     # 2: public functions, without the initial delay, so that short work shows a bar
     """
-    import pinred, pinred.common.waiting, pinred.common.waiting
-    pinred.common.waiting._PATIENCE = pinred.common.waiting._EVERY = 0.0
+    import pinred, pinred.common.waiting
+    pinred.common.waiting._DRAW_AFTER = pinred.common.waiting._REDRAW = 0.0
     pinred.common.waiting._PATIENCE = 600.0  # Caches may be empty.
     cat = pinred.load("falling_cat")
     traj = pinred.simulate(cat, duration=0.5, progress=True)
@@ -93,7 +93,7 @@ CELLS = (
     "pinred.compare(traj, progress=True)",
     # 4: short work leaves no output
     """
-    pinred.common.waiting._PATIENCE = 60.0
+    pinred.common.waiting._DRAW_AFTER = 60.0
     traj = pinred.simulate(cat, duration=0.5, progress=True)
     """,
 )

@@ -85,7 +85,7 @@ def integrator(
         The function, which raises an IntegrationError with time and shape if it fails.
     """
     scene, method, layout = plan.scene, plan.method, flow.kernel.layout
-    divisions = divisions_of(plan)
+    divisions = plan.divisions
 
     n = max(1, len(flow.y0))
 
@@ -206,15 +206,6 @@ def wild_steps(kernel: Kernel, plan: Plan, states: Array, times: Array) -> str:
     return ""
 
 
-def divisions_of(plan: Plan) -> int:
-    """Return the number of parts into which a step is divided for its users.
-
-    Balances fit polynomials of degree 7 between knots, so steps of eight stages are split.
-    """
-    method = plan.method
-    return max(1, method.order // 4) if method.lanes > 1 else 1
-
-
 def refined(knots: Array, parts: int) -> Array:
     """Divide each step between knots into a number of equal parts."""
     if parts == 1:
@@ -286,7 +277,7 @@ def through_stops(
             read_only(stops - starts), kernel.layout.quaternions, kernel.canonical, flow.tangent,
             progress, explain,
         )  # fmt: skip
-        return PartSegments(parts, starts, stops, divisions_of(plan))
+        return PartSegments(parts, starts, stops, plan.divisions)
 
     def through() -> Segments:
         return run(plan.stops)
@@ -434,7 +425,7 @@ class ThinnedSegments(Segments):
             reported: Reduced states at the report times of the scene, (T, k).
         """
         self._reported, self._times = reported, plan.scene.report_times
-        self._divisions, self._spans = divisions_of(plan), plan.spans
+        self._divisions, self._spans = plan.divisions, plan.spans
         self._parts = [
             (span, solution, k)
             for span, solution in zip(plan.spans, solutions, strict=True)
@@ -502,7 +493,7 @@ def long_integrator(
     if not stores_few(flow, plan, method):
         return None
     kernel, address, look = flow.kernel, flow.address(method), wild_check(flow, plan)
-    divisions = divisions_of(plan)
+    divisions = plan.divisions
 
     def run(
         start: float,
@@ -602,7 +593,7 @@ def run_compiled(
         long = long_integrator(flow, plan, method, integrate, progress)
     integrate = long or integrate
     trajectory = integrate_plan(
-        plan, flow, integrate, "compiled", method.name, again, through, record,
+        plan, flow, integrate, "compiled", plan.method_name, again, through, record,
         thinned=long is not None,
     )  # fmt: skip
     if checkpoint is not None and record is not None:
