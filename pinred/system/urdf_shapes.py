@@ -17,10 +17,9 @@ import pinocchio as pin
 from ..common.errors import LoadError
 from ..common.names import plain_path, quoted
 from .mesh_files import Mesh, Unreadable, read_meshes
-from .read_urdf import URDFDOM, with_deep_stack
+from .read_urdf import URDFDOM, take_closing_joints, with_deep_stack
 from .robot_files import Visuals, library_output, read_xml
 from .urdf_elements import prepare, reduced_text, replace_commas, tree_depth
-from .urdf_loops import take_closing_joints
 
 _MOST_LINKS = 2000  # Pinocchio's time for shapes is quadratic in the number of links.
 FARTHEST = 1e6  # largest accepted coordinate or size of a shape [m]
