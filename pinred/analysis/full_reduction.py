@@ -44,10 +44,10 @@ from ..common.arrays import Array, vector, vectors
 from ..common.errors import InputError
 from ..lie.group import Group
 from ..reduction.pointwise_reduction import PointwiseReduction
-from ..reduction.tree.second_derivatives import InertiaDerivatives, inertia_derivatives
 from ..system.coordinates import Velocity
 
 if TYPE_CHECKING:
+    from ..reduction.tree.second_derivatives import InertiaDerivatives
     from .connections.shape_field import ShapeField
 
 
@@ -430,5 +430,7 @@ class Reduction(PointwiseReduction):
     def _metric_derivatives(self, x: ArrayLike) -> tuple[Array, Array, Array]:
         """Return the reduced metric M and its first and second derivatives."""
         shape = self.split(x).x  # raises SingularInertiaError
+        from ..reduction.tree.second_derivatives import inertia_derivatives
+
         d = inertia_derivatives(self.system, shape[None])
         return reduced_metric_derivatives(d, self.system.r)

@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from ..common.argument_kinds import checks_arguments
-from ..common.arrays import Array, as_floats
+from ..common.arrays import Array, as_floats, read_only
 from ..common.errors import InputError, ShapeError
 from .rotations import apply, hat, plane_rotation, rotation
 
@@ -175,6 +175,11 @@ class Group(ABC):
     def velocity_names(self) -> tuple[str, ...]:
         """Names of the twist entries in plain letters: v for translations, w for rotations."""
         return tuple(name.replace("p", "v", 1).replace("L", "w", 1) for name in self.momentum_names)
+
+    @cached_property
+    def neutral(self) -> Array:
+        """The pose of the identity, (size,); read-only."""
+        return read_only(self.identity())
 
     @cached_property
     def momentum_names(self) -> tuple[str, ...]:

@@ -147,7 +147,7 @@ class PointwiseReduction:
         self._model = system.sorted_model.copy()
         self._model.gravity.setZero()
         self._data = self.system.sorted_data
-        self._identity = system.group.identity()
+        self._identity = system.group.neutral
         # Gravity that breaks the symmetry leaves I, A, M and B defined, so only V raises.
         self._potential: Potential | SymmetryError
         self._springs: Potential | None = None

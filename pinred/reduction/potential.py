@@ -74,7 +74,7 @@ class Potential:
         self._model = system.sorted_model.copy()
         self._model.gravity.linear = sideways
         self._data = system.sorted_data
-        self._identity = system.group.identity()
+        self._identity = system.group.neutral
         if sideways.any() and system.group.turns and not system.group.plane:
             _check_invariance(system, self._model, self._data)
         # A pivot keeps the symmetry only if the centre of mass is at the pivot in all shapes.

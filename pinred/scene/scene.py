@@ -34,7 +34,7 @@ from ..common.arrays import (
 from ..common.default_marker import is_given
 from ..common.errors import InputError
 from ..common.html import card, line, numbers, table
-from ..common.memo import once, recent
+from ..common.memo import recent
 from ..common.names import brief, one_of
 from ..common.parameter import Parameter, by_name
 from ..forces.controller import Controller
@@ -545,7 +545,7 @@ class Scene(SceneFields):
         elif keyframe is not None:
             pose = keyframe.pose
         else:
-            pose = once(system, GivenStates, lambda: read_only(system.group.identity()))
+            pose = system.group.neutral
         x, xdot, xi = self._initial_shape(), np.zeros(system.m), np.zeros(system.r)
         if self.q0 is not None:
             configuration = input_formats.parse_configuration(self.q0, system)

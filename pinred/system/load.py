@@ -390,7 +390,7 @@ def _read(
     if (robot := bundled_robots().get(name)) is not None:
         urdf = read_urdf(robot.path)
         urdf.model.gravity.linear = np.array(robot.gravity)
-        group = group or group_named(robot.group)
+        group = group or GROUPS[robot.group]
         initial = None
         if not locked and group.name == robot.group:
             x, xdot, xi = (np.array(robot.initial[k], dtype=float) for k in ("x", "xdot", "xi"))
