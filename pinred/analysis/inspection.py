@@ -148,7 +148,7 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
     generic = Scene(system=system, x0=at.x, xi0=np.ones(system.r))
     try:
         plan = plan_of(generic)
-        size = plan.kind(zero_momentum=False).layout.size
+        size = plan.layout(zero_momentum=False).size
         not_needed, symmetry_error = skipped(plan, zero_momentum=False), ""
     except SymmetryError as error:
         size, not_needed, symmetry_error = None, [], str(error)

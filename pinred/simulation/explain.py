@@ -60,7 +60,7 @@ def seen_and_integrated(plan: Plan) -> list[str]:
 
 def _integrated_constants(plan: Plan) -> list[SymmetricBall]:
     """Return the symmetric balls whose constant momentum is nevertheless integrated."""
-    layout = plan.kind(zero_momentum=has_no_momentum(plan)).layout
+    layout = plan.layout(zero_momentum=has_no_momentum(plan))
     return [ball for ball in plan.acting.symmetric_balls if not _is_parameter(layout, ball)]
 
 
@@ -109,8 +109,8 @@ def varying(plan: Plan, *, generic: bool = False) -> list[str]:
 def integrated(plan: Plan) -> str:
     """Describe the number of variables of a full simulation and of the compiled engine."""
     full = plan.system.model.nq + plan.system.model.nv
-    kind = plan.kind(zero_momentum=has_no_momentum(plan))
-    return f"{full} → {kind.layout.size} numbers"
+    layout = plan.layout(zero_momentum=has_no_momentum(plan))
+    return f"{full} → {layout.size} numbers"
 
 
 def skipped(plan: Plan, *, zero_momentum: bool) -> list[str]:
@@ -124,7 +124,7 @@ def skipped(plan: Plan, *, zero_momentum: bool) -> list[str]:
     """
     system, forces = plan.system, plan.forces
     names, group = system.shape_names, system.group
-    layout = plan.kind(zero_momentum=zero_momentum).layout
+    layout = plan.layout(zero_momentum=zero_momentum)
     lines = []
     if not plan.wanted:
         lines.append("the base: it is not requested")

@@ -2,7 +2,8 @@
 
 A plan is built once for a scene and used everywhere.  It does not determine whether the angular
 momentum of the base is zero, because that depends on the initial state, in which the members of one
-plan may differ.  `Plan.kind` returns the equations of either case.
+plan may differ.  `Plan.structure` returns the structure of
+the equations in either case.
 """
 
 from __future__ import annotations
@@ -41,26 +42,6 @@ _NONE = read_only(np.empty(0))
 # Error of the integrals of functions of time by equal steps that is reported, relative to their
 # ranges.
 _MISSED = 1e-3
-
-
-@dataclass(frozen=True, eq=False)
-class Kind:
-    """The system, forces and terms that define the equations of a plan.
-
-    Attributes:
-        system: The system.
-        forces: Forces besides gravity and prescribed joints; None if there are none.
-        structure: Terms of the equations.
-    """
-
-    system: System
-    forces: ForceModel | None
-    structure: Structure
-
-    @cached_property
-    def layout(self) -> Layout:
-        """Indices of integrated variables and of parameters, computed at first access."""
-        return layout_of(self.system, self.structure, self.forces)
 
 
 @dataclass(frozen=True)
@@ -304,17 +285,17 @@ class Plan:
             "steps, or a method with step control",
         )
 
-    def kind(
+    def structure(
         self, *, zero_momentum: bool, generic: bool = False, all_momenta: bool = False
-    ) -> Kind:
-        """Return the equations with or without angular momentum, cached.
+    ) -> Structure:
+        """Return the structure of the equations with or without angular momentum, cached.
 
         Args:
             zero_momentum: Whether the initial angular momentum of the base is exactly zero.
             generic: Whether variable parameters of the robot may take any value.
             all_momenta: Whether constant momenta of symmetric balls are integrated, too.
         Returns:
-            The equations.
+            The structure.
         """
         acting, varied = self.acting, self.scene.varied
         zero = zero_momentum and not acting.momentum_changes
@@ -328,9 +309,9 @@ class Plan:
         # Lifted balls have conjugate momenta, none of which is constant.
         symmetric = () if lifted_balls or all_momenta else acting.symmetric_balls
 
-        def make() -> Kind:
+        def make() -> Structure:
             axes = tuple(np.flatnonzero(acting.gravity).tolist())
-            structure = Structure(
+            return Structure(
                 zero_momentum=zero,
                 cyclic=acting.cyclic,
                 rotors=rotors_among(symmetric),
@@ -341,16 +322,20 @@ class Plan:
                 lifted_balls=lifted_balls,
                 freed=freed,
             )
-            return Kind(self.system, self.forces, structure)
 
         return once(
             acting,
-            (Kind, zero, self.wanted, lifted, lifted_balls, freed, any_gravity, all_momenta),
+            (Structure, zero, self.wanted, lifted, lifted_balls, freed, any_gravity, all_momenta),
             make,
         )
 
+    def layout(self, *, zero_momentum: bool, generic: bool = False) -> Layout:
+        """Return the indices of integrated variables and of parameters; see `structure`."""
+        structure = self.structure(zero_momentum=zero_momentum, generic=generic)
+        return layout_of(self.system, structure, self.forces)
+
     def freed(self, *, generic: bool = False) -> Freed:
-        """Return the parameters of the robot that are inputs of the kernel; see `kind`."""
+        """Return the parameters of the robot that are inputs of the kernel; see `structure`."""
         varied, forces = self.scene.varied, self.forces
         if varied is None:
             return NOTHING

@@ -145,7 +145,7 @@ def test_momentum_is_integrated_only_for_wrenches() -> None:
 
     def numbers(force: Any) -> int:
         scene = pinred.Scene(system=satellite, seed=0, forces=[force])
-        return plan_of(scene).kind(zero_momentum=False).layout.size
+        return plan_of(scene).layout(zero_momentum=False).size
 
     blind = numbers(Torque(lambda t, x, xdot, mu: {joint: -x[0]}))
     assert numbers(Torque(lambda s: {joint: -s.pose[3] - s.xi[3]})) == blind

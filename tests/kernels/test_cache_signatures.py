@@ -60,7 +60,7 @@ def test_kernel_signed_by_other_key_is_compiled_silently(tmp_path: Path) -> None
     """A kernel with a foreign signature is compiled again without a warning, and runs."""
     cat, cache = pinred.load("falling_cat"), ObjectCache(tmp_path / "cache")
     plan = plan_of(pinred.Scene(system=cat))
-    structure = plan.kind(zero_momentum=False).structure
+    structure = plan.structure(zero_momentum=False)
     build_kernel(cat, structure, cache=cache)
     (kept,) = cache.entries()
     (tmp_path / "data/pinred/cache_key").unlink()

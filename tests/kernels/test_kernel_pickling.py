@@ -24,7 +24,7 @@ def kernel() -> Kernel:
     """Return a kernel."""
     cat = pinred.load("falling_cat")
     plan = plan_of(pinred.Scene(system=cat))
-    return build_kernel(cat, plan.kind(zero_momentum=False).structure)
+    return build_kernel(cat, plan.structure(zero_momentum=False))
 
 
 @pytest.mark.parametrize("how", [pickle.dumps, copy.deepcopy, copy.copy])
@@ -45,7 +45,7 @@ def work(number):
     for k in range(3):
         own = pinred.load("falling_cat")
         traj = pinred.simulate(own, duration=0.05, springs={"bend": (1.0 + number, 0.1)})
-        kernel = build_kernel(own, traj.plan.kind(zero_momentum=False).structure, traj.plan.forces)
+        kernel = build_kernel(own, traj.plan.structure(zero_momentum=False), traj.plan.forces)
         for thing in (traj, own, cat, kernel, kernel.rate, list(vars(own)["_once"].values())[::-1]):
             for how in (pickle.dumps, copy.deepcopy):
                 try:

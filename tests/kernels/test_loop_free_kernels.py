@@ -20,8 +20,9 @@ from pinred.simulation.plan import plan_of
 def code(system: pinred.System, method: Method) -> list[str]:
     """Return the LLVM code of rates and outputs, in lanes over limbs, for a random state."""
     scene = pinred.Scene(system=system, seed=1, duration=1.0, method=method)
-    kind, lanes = plan_of(scene).kind(zero_momentum=False), Lanes()
-    graph = ReducedGraph(kind.system, kind.structure, kind.forces, lanes)
+    plan, lanes = plan_of(scene), Lanes()
+    structure = plan.structure(zero_momentum=False)
+    graph = ReducedGraph(plan.system, structure, plan.forces, lanes)
     functions = graph.rate(), graph.outputs()
     return [lower(f, f.name(), lanes.marks[f.name()], fma=True) for f in functions]
 

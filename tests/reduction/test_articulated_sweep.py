@@ -90,7 +90,7 @@ def test_reduced_graph_rates_equal_pinocchio_route(name: str, zero: bool) -> Non
         **options,
     )
     flow = PinocchioFlow(plan_of(scene))
-    structure = plan_of(scene).kind(zero_momentum=zero).structure
+    structure = plan_of(scene).structure(zero_momentum=zero)
     graph = ReducedGraph(system, structure, scene.force_model)
     layout, m = graph.layout, system.m
     active, cyclic = list(layout.active), list(layout.cyclic)

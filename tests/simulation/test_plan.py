@@ -100,7 +100,7 @@ def test_fields_of_plan_with_plan_wheel_and_wrench() -> None:
     assert acting.momentum_changes
     assert acting.wrench
     assert not acting.turned
-    assert found.kind(zero_momentum=True) is found.kind(zero_momentum=False)
+    assert found.structure(zero_momentum=True) is found.structure(zero_momentum=False)
     assert not found.stops.flags.writeable
 
 

@@ -541,10 +541,12 @@ def kernel_of(
             "stops: only simulate, simulate_many, sweep, compare, flow and floquet take stops. "
             "Omit them here, or call one of these"
         )
-    kind = plan.kind(zero_momentum=zero_momentum, generic=generic, all_momenta=all_momenta)
-    system, structure, forces = kind.system, kind.structure, kind.forces
+    structure = plan.structure(
+        zero_momentum=zero_momentum, generic=generic, all_momenta=all_momenta
+    )
+    system, forces = plan.acting.system, plan.acting.forces
     # Texts have cached hashes, unlike structures.
-    key = once(kind, Kernel, lambda: repr((structure, None if forces is None else forces.key)))
+    key = once(structure, Kernel, lambda: repr((structure, None if forces is None else forces.key)))
     # Parameters are inputs of a kernel, so robots that differ only in parameters share it.
     owner = nominal(system)
     kept = (MOST_MODES, (Kernel, "modes")) if is_mode else (MOST_KERNELS, Kernel)

@@ -538,7 +538,7 @@ class MemberOptions:
         Raises:
             RejectedValuesError: Some robots are not physical; it has the reason for each.
         """
-        layout = members_plan(template).kind(zero_momentum=False, generic=True).layout
+        layout = members_plan(template).layout(zero_momentum=False, generic=True)
         names = [name for name in self.robot if name in self.parameters]
         values = {name: self.parameters[name].reshape(self.count, -1) for name in names}
         numbers, reasons = RobotColumns(template, layout, 0).rows(values)
