@@ -9,6 +9,7 @@ and velocity of the centre of mass.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import casadi as ca
@@ -91,12 +92,12 @@ class InitialConditionsKernel:
         states = np.concatenate([pose, x, xdot, motion], axis=1)
         return self.split(self.evaluate(states, numbers))
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of outputs."""
         return self.system.m + 2 * self.system.r
 
-    @property
+    @cached_property
     def own_numbers(self) -> Array:
         """Values of the variable body parameters of the system; (1,) without any."""
         return free_numbers(self.system, self.freed) if self.freed else np.zeros(1)
@@ -114,7 +115,7 @@ class InitialConditionsKernel:
             numbers = self.own_numbers
         return evaluate(self.code.address, numbers, states, self.size)
 
-    @property
+    @cached_property
     def about(self) -> slice:
         """Indices of the outputs `about` of InitialConditions."""
         m, r, k = self.system.m, self.system.r, self.system.group.linear

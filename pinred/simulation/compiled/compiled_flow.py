@@ -105,35 +105,6 @@ def _fill(rows: Array, columns: list[Array]) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class StartConditions:
-    """The kernel of initial conditions, prepared for single states of one structure.
-
-    Attributes:
-        kernel: The kernel.
-        numbers: Values of the variable body parameters, (1, s).
-        about: Indices of the angular momentum about the centre of mass in the conditions.
-        size: Number of conditions.
-    """
-
-    kernel: InitialConditionsKernel
-    numbers: Array
-    about: slice
-    size: int
-
-    @classmethod
-    def of(cls, kernel: InitialConditionsKernel) -> StartConditions:
-        """Return the prepared kernel."""
-        return cls(kernel, kernel.own_numbers[None], kernel.about, kernel.size)
-
-    def at(self, given: GivenStates) -> tuple[Array, Array]:
-        """Return a state, (1, k), with its initial conditions, (1, size)."""
-        state = np.concatenate([given.pose, given.x, given.xdot, given.motion], axis=1)
-        values = np.empty((1, self.size))
-        evaluate_row(self.kernel.code.address, self.numbers, state, values)
-        return state, values
-
-
-@dataclass(frozen=True, eq=False)
 class PreparedStart:
     """The indices of all copies at the start of a flow, for scenes of one structure.
 
@@ -266,16 +237,18 @@ class CompiledFlow:
         of_twist = given.mu is None
         conditions = once(
             shared,
-            (StartConditions, of_twist),
-            lambda: StartConditions.of(_conditions_kernel(plan, given, NO_DIFFERENCES)),
+            (InitialConditionsKernel, of_twist),
+            lambda: _conditions_kernel(plan, given, NO_DIFFERENCES),
         )
-        state, values = conditions.at(given)
+        state = np.concatenate([given.pose, given.x, given.xdot, given.motion], axis=1)
+        values = np.empty((1, conditions.size))
+        evaluate_row(conditions.code.address, conditions.own_numbers[None], state, values)
         zero = not any(values[0, conditions.about].tolist())
 
         def make() -> PreparedStart | None:
             flow_kernel = kernel_of(plan, zero_momentum=zero, all_momenta=all_momenta)
             constants = _constants(plan, NO_DIFFERENCES, flow_kernel)
-            return prepare_start(flow_kernel, given, conditions.kernel, constants)
+            return prepare_start(flow_kernel, given, conditions, constants)
 
         key = PreparedStart, type(plan.method), zero, of_twist, all_momenta
         prepared = once(shared, key, make)
@@ -283,7 +256,7 @@ class CompiledFlow:
         if flow_kernel is None:
             flow_kernel = kernel_of(plan, zero_momentum=zero, all_momenta=all_momenta)
         if prepared is None:
-            start = conditions.kernel.split(values)
+            start = conditions.split(values)
             return _set_up(plan, given, start, NO_DIFFERENCES, flow_kernel)[0]
         return cls(flow_kernel, _tables_of(plan), *prepared.start(state[0], values[0]))
 
