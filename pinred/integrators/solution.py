@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +13,9 @@ from ..common.arrays import Array, as_floats, read_only
 from ..common.errors import InputError, NoConvergence, ShapeError
 from .methods.method import Method, stepper_of
 from .stepping.run_state import Runs, copied
+
+if TYPE_CHECKING:
+    from .stepping.step_loop import Stepper
 
 
 @dataclass(eq=False)
@@ -35,6 +40,10 @@ class Solution:
     _run: Runs = field(repr=False)
     _knots: Array = field(repr=False)
     _rows: Array = field(repr=False)
+
+    @cached_property
+    def _stepper(self) -> Stepper:
+        return stepper_of(self.method)
 
     @property
     def steps(self) -> int:
@@ -87,7 +96,7 @@ class Solution:
         order = np.argsort(asked, kind="stable")
         n = self.states.shape[1]
         sorted_states = np.empty((len(asked), n))
-        stepper, run = stepper_of(self.method), copied(self._run)
+        stepper, run = self._stepper, copied(self._run)
         stepper.loops.recall(
             run,
             self.params,

@@ -46,27 +46,6 @@ class Outputs:
     fields: Mapping[str, slice]
     size: int
 
-    def read_field(self, name: str, outputs: Array, system: System) -> Array:
-        """Extract a field of State, with joints in the order of the robot's original model.
-
-        Args:
-            name: Name of the field, except "t".
-            outputs: Outputs of the kernel, (…, size).
-            system: The system of the kernel.
-        Returns:
-            The field: (…,) for scalars, else (…, length of the field's axis).
-        """
-        values = outputs[..., self.fields[name]]
-        match FIELDS[name].axis:
-            case "nq":
-                return system.given_q(values)
-            case "nv":
-                return system.given_v(values)
-            case None:
-                return values[..., 0]
-            case _:
-                return values
-
 
 def separate_fields(*, base: bool) -> list[str]:
     """Return the fields of State that have separate entries in the outputs, in order.

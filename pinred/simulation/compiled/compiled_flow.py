@@ -30,13 +30,13 @@ from ...kernels.initial_conditions import (
     InitialConditionsKernel,
     initial_conditions_kernel,
 )
-from ...kernels.kernel import Kernel
+from ...kernels.kernel import Kernel, Outputs
 from ...kernels.state_layout import Layout
 from ...reduction.base_parts import into_body, root_of
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
 from ...system.coordinates import Indices
-from ...system.state_fields import ShapeState, State
+from ...system.state_fields import FIELDS, ShapeState, State
 from ...system.system import System, nominal
 from ..plan import NO_DIFFERENCES, MemberParameters, Plan
 from ..reduced_flow import Sample, entry_name
@@ -423,7 +423,7 @@ class CompiledFlow:
         system, where = self.kernel.system, self.kernel.where
         outputs = self.outputs(t, y, parameters)
         state_class = State if self.kernel.layout.base_requested else ShapeState
-        fields = {name: where.read_field(name, outputs, system) for name in where.fields}
+        fields = {name: read_field(where, name, outputs, system) for name in where.fields}
         return state_class(t=t.copy(), **fields)
 
     def fill_states(
@@ -449,7 +449,7 @@ class CompiledFlow:
             constants = np.concatenate([self.parameters[chunk], self.path[chunk]], axis=1)
             evaluate_runs(kernel.outputs.address, constants, y[chunk], times, layout.size, outputs)
             for name, field in fields.items():
-                field[members[chunk]] = where.read_field(name, outputs, kernel.system)
+                field[members[chunk]] = read_field(where, name, outputs, kernel.system)
 
     def rates(self, t: Array, y: Array, parameters: Array) -> Array:  # noqa: ARG002
         """Return dy/dt, (T, k), at reduced states (T, k), which contain the time if needed."""
@@ -479,6 +479,29 @@ class CompiledFlow:
             layout.constant_pi,
             layout.prescribed,
         )
+
+
+def read_field(where: Outputs, name: str, outputs: Array, system: System) -> Array:
+    """Extract a field of State, with joints in the order of the robot's original model.
+
+    Args:
+        where: Slices of the outputs of the kernel.
+        name: Name of the field, except "t".
+        outputs: Outputs of the kernel, (…, size).
+        system: The system of the kernel.
+    Returns:
+        The field: (…,) for scalars, else (…, length of the field's axis).
+    """
+    values = outputs[..., where.fields[name]]
+    match FIELDS[name].axis:
+        case "nq":
+            return system.given_q(values)
+        case "nv":
+            return system.given_v(values)
+        case None:
+            return values[..., 0]
+        case _:
+            return values
 
 
 def rate_address(kernel: Kernel, method: Method) -> int:
