@@ -54,6 +54,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Choose the hypothesis profile, and listen to SIGINT."""
     if config.getoption("--by-hand") or config.getoption("--examples"):
         settings.load_profile("random")
+    else:  # most kernels of tests are evaluated less often than they have instructions
+        os.environ.setdefault("PINRED_CODE_LEVEL", "0")
     # A shell starts `nohup … &` with SIGINT ignored, and child processes inherit that.
     # Tests of Ctrl-C need the default handler there.
     if (

@@ -31,7 +31,7 @@ from platformdirs import user_cache_path
 
 from .compile_ahead import ObjectAhead, Part, begin, spare_processors
 from .compile_notice import notice_of_compiling
-from .cpu_target import cpu_target
+from .cpu_target import LEVEL, code_level, cpu_target
 from .errors import CacheWarning, InputError
 from .files import TEMPORARY, fingerprint, signing_key, sweep, temporary
 from .version import __version__
@@ -185,7 +185,8 @@ def cache_key(*parts: bytes | str) -> str:
     """Compute the key of an object.
 
     The key also depends on the environment of the compilation: the sources of the engine, the
-    versions of pinred, CasADi and llvmlite, and the CPU that code is compiled for.
+    versions of pinred, CasADi and llvmlite, the CPU that code is compiled for, and the level of
+    optimisation.
 
     Args:
         parts: Values that identify the object.
@@ -194,7 +195,8 @@ def cache_key(*parts: bytes | str) -> str:
     """
     digest = sha256()
     cpu = cpu_target()
-    for part in (*parts, *_environment(), cpu.name, cpu.features):
+    level = () if code_level() == LEVEL else (f"level {code_level()}",)
+    for part in (*parts, *_environment(), cpu.name, cpu.features, *level):
         data = part.encode() if isinstance(part, str) else part
         digest.update(b"s" if isinstance(part, str) else b"b")
         digest.update(struct.pack("<Q", len(data)) + data)

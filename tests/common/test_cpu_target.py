@@ -1,7 +1,8 @@
-"""Tests of PINRED_CPU, the CPU that all machine code is compiled for."""
+"""Tests of PINRED_CPU and PINRED_CODE_LEVEL, for which machine code is compiled."""
 
 from __future__ import annotations
 
+import ctypes
 import os
 import platform
 import subprocess
@@ -10,11 +11,13 @@ from pathlib import Path
 
 import casadi as ca
 import llvmlite.binding as llvm
+import numpy as np
 import pytest
 
 from pinred.common import cpu_target as targets
 from pinred.common.cpu_target import cpu_target
 from pinred.common.errors import InputError
+from pinred.common.machine_code import load_object
 from pinred.common.object_cache import cache_key
 from pinred.kernels.machine.native import compile_object
 
@@ -108,3 +111,34 @@ def test_numba_cpu_name_has_precedence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NUMBA_CPU_NAME")
     targets.pin_numba(config)
     assert (config.CPU_NAME, config.CPU_FEATURES) == (None, None)
+
+
+def test_code_of_all_levels_agrees_and_is_cached_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Results at level 0 are those of the default but for last bits; keys of caches differ."""
+    rng = np.random.default_rng(4)
+    x = rng.uniform(-1.0, 1.0, 6)
+    symbols = ca.SX.sym("x", 6)
+    product = ca.sin(symbols[:3]) * symbols[3:] + ca.cos(symbols[3:]) / (2.0 + symbols[:3])
+    function = ca.Function("f", [symbols], [product * product[[1, 2, 0]] - symbols[:3]])
+    values, keys = {}, set()
+    for level in ("", "0", "1", "2"):
+        monkeypatch.setenv("PINRED_CODE_LEVEL", level)
+        keys.add(cache_key("f"))
+        native = load_object(compile_object(function, "f"), "f")
+        out = np.empty(3)
+        call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(native.address)
+        call(x.ctypes.data, out.ctypes.data)
+        values[level] = out
+    assert len(keys) == 3
+    np.testing.assert_array_equal(values[""], values["1"])
+    expected = np.array(function(x)).ravel()
+    for out in values.values():
+        np.testing.assert_allclose(out, expected, rtol=1e-14, atol=1e-15)
+
+
+@pytest.mark.parametrize("level", ["4", "-1", "fast"])
+def test_unknown_levels_of_code_are_refused(monkeypatch: pytest.MonkeyPatch, level: str) -> None:
+    """The message names the variable, the levels and the default."""
+    monkeypatch.setenv("PINRED_CODE_LEVEL", level)
+    with pytest.raises(InputError, match="PINRED_CODE_LEVEL: expected 0, 1, 2 or 3, got"):
+        cache_key("f")

@@ -12,14 +12,11 @@ from contextvars import ContextVar
 import casadi as ca
 import llvmlite.binding as llvm
 
-from ...common.cpu_target import cpu_target
+from ...common.cpu_target import code_level, cpu_target
 from ...common.errors import InputError
 from ...common.machine_code import create_machine, emit_object
 from ...reduction.tree.identical_branches import Mark
 from .lowering import RESERVED, lower
-
-# Code generation at level 1 emits code of the same results and speed in a tenth less time than 2.
-_LEVEL = 1
 
 
 def compile_object(
@@ -97,7 +94,7 @@ def generate(text: str) -> bytes:
     """
     context = llvm.create_context()
     module = llvm.parse_assembly(text, context)
-    machine = create_machine(_LEVEL)
+    machine = create_machine(code_level())
     passes = llvm.create_new_module_pass_manager()
     passes.add_always_inliner_pass()
     passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
