@@ -194,9 +194,9 @@ def cache_key(*parts: bytes | str) -> str:
     """
     digest = sha256()
     cpu = cpu_target()
-    for part in (*parts, *_environment(), cpu.name, cpu.features):
-        data = part.encode() if isinstance(part, str) else part
-        digest.update(b"s" if isinstance(part, str) else b"b")
+    for piece in (*parts, *_environment(), cpu.name, cpu.features):
+        data = piece.encode() if isinstance(piece, str) else piece
+        digest.update(b"s" if isinstance(piece, str) else b"b")
         digest.update(struct.pack("<Q", len(data)) + data)
     return digest.hexdigest()
 
@@ -266,11 +266,11 @@ class ObjectCache:
         """
         if not spare_processors() or (self.folder, key) in _ahead or self._has_entry(key):
             return
-        parts = divide()
-        if not parts:
+        pieces = divide()
+        if not pieces:
             return
         store = ObjectCache(self.folder, self.limit, silent=True).put
-        ahead = _ahead[self.folder, key] = ObjectAhead(parts, join, partial(store, key), what)
+        ahead = _ahead[self.folder, key] = ObjectAhead(pieces, join, partial(store, key), what)
         begin(ahead)
 
     def get(self, key: str) -> bytes | None:

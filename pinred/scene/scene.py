@@ -158,7 +158,7 @@ def given_parameters(system: System, parameters: Any) -> GivenParameters:
             the same property.
     """
     original, present = nominal(system), system.parameters
-    values, others = requested(original, parameters)
+    values, variable = requested(original, parameters)
     if isinstance(parameters, Mapping):
         values = joined(present, values)
     else:  # Names without values keep the values that the system has.
@@ -166,7 +166,7 @@ def given_parameters(system: System, parameters: Any) -> GivenParameters:
     varied = ModelParameters(original, list(values))
     numbers = varied.checked(values)
     return GivenParameters(
-        values, others, varied if varied.names else None, numbers, varied.system(numbers)
+        values, variable, varied if varied.names else None, numbers, varied.system(numbers)
     )
 
 
@@ -275,8 +275,8 @@ class Scene(SceneFields):
         for name in ARRAYS_OF_STATE:
             if values[name] is not None:
                 values[name] = copied(values[name])
-        values["_given"] = given = self._resolve()
-        if self.bounds and (reasons := starts_beyond(self.bounds, given.x)):
+        values["_given"] = states = self._resolve()
+        if self.bounds and (reasons := starts_beyond(self.bounds, states.x)):
             raise InputError(reasons[0])
 
     def _check_structure(self) -> Shared:
@@ -345,8 +345,8 @@ class Scene(SceneFields):
     @property
     def given(self) -> GivenStates:
         """The initial state as the options state it, with a leading axis of length one."""
-        given: GivenStates = vars(self)["_given"]
-        return given
+        states: GivenStates = vars(self)["_given"]
+        return states
 
     @property
     def report_times(self) -> Array:
@@ -449,8 +449,8 @@ class Scene(SceneFields):
         self._keep("controls", controls)
         file_forces = (*file_forces, *actuation(self.system, controls))
         watched = self._check_events()
-        held: Mapping[str, Constant | Attitude] = vars(self)["_held_plans"]
-        if not (self.springs or forces or file_forces or prescribed or held):
+        held_plans: Mapping[str, Constant | Attitude] = vars(self)["_held_plans"]
+        if not (self.springs or forces or file_forces or prescribed or held_plans):
             self._keep("_forces", None)
             self._check_parameters(watched)
             return
@@ -460,7 +460,7 @@ class Scene(SceneFields):
 
         acting = (*forces, *file_forces)
         model = cached_force_model(
-            self.system, self.springs, acting, {**prescribed, **held}, self.varied
+            self.system, self.springs, acting, {**prescribed, **held_plans}, self.varied
         )
         self._check_parameters((*model.parameters, *watched))
         model = model.with_values(self.parameters)
@@ -582,9 +582,9 @@ class Scene(SceneFields):
 
     def _closed_state(self, x: Array, xdot: Array) -> tuple[Array, Array]:
         """Return the nearest state that closes all loops, and store it as x0 and xdot0."""
-        held: tuple[HeldJoints, HeldJoints] = vars(self)["_held"]
+        held_joints: tuple[HeldJoints, HeldJoints] = vars(self)["_held"]
         report = self.q0 is not None, self.v0 is not None
-        x, xdot = closed_state(self.system, x, xdot, held, report, self.force_model)
+        x, xdot = closed_state(self.system, x, xdot, held_joints, report, self.force_model)
         # A copy of the scene then starts at the same state, although it has no joint names.
         for name, values in (("x0", x), ("xdot0", xdot)):
             if getattr(self, name) is not None:

@@ -108,13 +108,13 @@ def take_closing_joints(robot: Element) -> tuple[tuple[ClosingJoint, ...], tuple
                 )
     other = [joint.label for joint in closing if joint.kind not in _KINDS]
     return tuple(joint for joint in closing if joint.kind in _KINDS), tuple(
-        left
-        for left in (
+        entry
+        for entry in (
             LeftOut(LOOPS, tuple(other)),
             LeftOut(SPRINGS, tuple(losses)),
             LeftOut("limits of joints that close loops", tuple(limits), demanded=True),
         )
-        if left.names
+        if entry.names
     )
 
 
@@ -161,12 +161,12 @@ def add_loops(model: pin.Model, closing: Sequence[ClosingJoint]) -> tuple[Loop, 
 
 def _aligned(kind: str, axis: Array) -> tuple[LoopKind, pin.SE3]:
     """Return the kind of a loop, and the rotation of its frames that puts a hinge on an axis."""
-    here = pin.SE3.Identity()
+    identity = pin.SE3.Identity()
     if kind != "axis":
-        return ("3d" if kind == "3d" else "6d"), here
+        return ("3d" if kind == "3d" else "6d"), identity
     for k, name in ((0, "x"), (1, "y"), (2, "z")):
         if np.abs(np.delete(axis, k)).max() <= _ALIGNED:
-            return name, here  # type: ignore[return-value]
+            return name, identity  # type: ignore[return-value]
     turn = rotation_to(axis)
     assert turn is not None
     return "z", pin.SE3(turn, np.zeros(3))
