@@ -304,10 +304,10 @@ class FloatingArm:
         k = min(J.shape)
         if not k:
             raise InputError(f"'{self.system.name}' has no joints to move the hand")
-        left, values, right = np.linalg.svd(J)
+        left_vectors, values, right = np.linalg.svd(J)
         square = J.shape[0] == J.shape[1]
         determinant = float(np.linalg.det(J)) if square else float(np.prod(values))
-        return Singularity(values, determinant, left[:, k - 1].copy(), right[k - 1].copy())
+        return Singularity(values, determinant, left_vectors[:, k - 1].copy(), right[k - 1].copy())
 
     def determinants(self, shapes: ArrayLike) -> Array:
         """Compute the determinant of `singularity` at many shapes.
@@ -452,12 +452,12 @@ class FloatingArm:
         def connection_rate(x: Array, xdot: Array) -> Array:
             return np.asarray(np.einsum("rab,b->ra", self._reduction.at(x).dA, xdot)[rows])
 
-        given = direction
-        if given is not None:
-            given = vector(given, system.m, "direction", system.shape_names)
+        start_direction = direction
+        if start_direction is not None:
+            start_direction = vector(start_direction, system.m, "direction", system.shape_names)
         return integrate_path(
             system, lambda x: self._reduction.local_connection(x)[rows], connection_rate,
-            self._at(x0, None)[0], given, positive(length, "length"), bounds,
+            self._at(x0, None)[0], start_direction, positive(length, "length"), bounds,
         )  # fmt: skip
 
     def workspace(

@@ -164,8 +164,8 @@ def _lowered(M: Array, dM: Array, c: Array | None) -> Array:
     if c is None:
         return symmetric
     brackets = np.einsum("de,eab->dab", M, c)  # ⟨e_d, [e_a, e_b]⟩
-    turned = np.einsum("bad->dab", brackets) + np.einsum("abd->dab", brackets)
-    return np.asarray(symmetric + 0.5 * (brackets - turned))
+    transposed = np.einsum("bad->dab", brackets) + np.einsum("abd->dab", brackets)
+    return np.asarray(symmetric + 0.5 * (brackets - transposed))
 
 
 def _raised(M: Array, lowered: Array) -> Array:

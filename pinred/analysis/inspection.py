@@ -228,8 +228,8 @@ def _labels(inspection: Inspection) -> tuple[str, ...]:
 
 def _left_out(system: System) -> list[str]:
     """Return one line for each item of the robot file that a run ignores."""
-    own = passive_left_out(system, who="a run"), actuators_left_out(system, who="a run")
-    return [*map(str, system.left_out), *filter(None, own)]
+    forces_left_out = passive_left_out(system, who="a run"), actuators_left_out(system, who="a run")
+    return [*map(str, system.left_out), *filter(None, forces_left_out)]
 
 
 def _actuators(system: System) -> list[str]:

@@ -285,9 +285,9 @@ class _Distribution:
         rows = self._rows(x)
         if not rows.size:
             return np.zeros(0), rows.T, np.eye(rows.shape[1])
-        left, values, right = np.linalg.svd(rows)
+        left_vectors, values, right = np.linalg.svd(rows)
         k = self.rank
-        inverse = (right[:k].T / values[:k]) @ left[:, :k].T
+        inverse = (right[:k].T / values[:k]) @ left_vectors[:, :k].T
         return values, inverse, right[k:].T
 
 

@@ -119,8 +119,8 @@ def floats_in(text: str) -> list[float]:
 
 def spring_in(text: str) -> tuple[float, float]:
     """Parse a text STIFFNESS or STIFFNESS,REST; the rest is zero by default.  Raises ValueError."""
-    stiffness, rest = floats_in(text if "," in text else f"{text},0")
-    return stiffness, rest
+    stiffness, rest_length = floats_in(text if "," in text else f"{text},0")
+    return stiffness, rest_length
 
 
 def stop_in(text: str) -> list[float]:
@@ -155,8 +155,8 @@ def parse_plan(text: str) -> Any:
     from ..forces.signals import Attitude
 
     text, has_centre, centre = text.partition("@")
-    parts = _split_outside_brackets(text)
-    values = [number_or_formula(part) for part in parts]
+    entries = _split_outside_brackets(text)
+    values = [number_or_formula(entry) for entry in entries]
     if has_centre:
         return Attitude(values, [float(number) for number in centre.split(",")])
     return values if len(values) > 1 else values[0]
@@ -164,14 +164,14 @@ def parse_plan(text: str) -> Any:
 
 def _split_outside_brackets(text: str) -> list[str]:
     """Split a text at the commas that are not inside of brackets."""
-    parts, depth = [""], 0
+    entries, depth = [""], 0
     for letter in text:
         depth += (letter in "([") - (letter in ")]")
         if letter == "," and not depth:
-            parts.append("")
+            entries.append("")
         else:
-            parts[-1] += letter
-    return parts
+            entries[-1] += letter
+    return entries
 
 
 def number_or_formula(text: str) -> float | str:

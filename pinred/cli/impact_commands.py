@@ -65,8 +65,8 @@ def run_release(arguments: argparse.Namespace) -> int:
     _check_after(arguments)
     motion = _motion_before(arguments.motion)
     result = release(motion, arguments.link, root=arguments.root)
-    parts = (result.carrier, result.released)
-    return _follow(arguments, [motion], result, [(part.system, part.start) for part in parts])
+    systems = (result.carrier, result.released)
+    return _follow(arguments, [motion], result, [(state.system, state.start) for state in systems])
 
 
 def add_land_arguments(sub: argparse.ArgumentParser) -> None:
@@ -161,13 +161,13 @@ def _follow(
         simulate(system, **start, **options, progress=True)
         for system, start in (states if "duration" in options else ())
     ]
-    whole = chain(earlier, impact, *([after] if after else []))
+    mission = chain(earlier, impact, *([after] if after else []))
     if arguments.out is not None:
         path = Path(arguments.out)
-        whole.save(path)
+        mission.save(path)
         print(describe_file(path))
     if not arguments.compare:
         return 0
     from ..judge.compare import compare
 
-    return print_report(compare(whole, progress=True))
+    return print_report(compare(mission, progress=True))

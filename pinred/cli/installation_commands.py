@@ -84,23 +84,23 @@ def read_requirements() -> list[Requirement]:
         lines = distribution("pinred").requires or []
     except PackageNotFoundError:
         return []
-    found = []
+    requirements = []
     for line in lines:
         name, _, bounds, extra = _REQUIREMENT.fullmatch(line).groups()  # type: ignore[union-attr]
         lowest = re.search(r">=\s*([\w.]+)", bounds)
-        found.append(Requirement(name, lowest[1] if lowest else "", extra or ""))
-    return found
+        requirements.append(Requirement(name, lowest[1] if lowest else "", extra or ""))
+    return requirements
 
 
 def _installed(requirement: Requirement) -> tuple[str, str]:
     """Return the version of a package, or "", and the fault, or ""."""
     try:
-        found = version(requirement.name)
+        installed = version(requirement.name)
     except PackageNotFoundError:
         return "", "not installed"
-    if _release(found) < _release(requirement.lowest):
-        return found, f"version {found} is older than {requirement.lowest}"
-    return found, ""
+    if _release(installed) < _release(requirement.lowest):
+        return installed, f"version {installed} is older than {requirement.lowest}"
+    return installed, ""
 
 
 def _release(text: str) -> list[int]:
@@ -113,12 +113,12 @@ def _release(text: str) -> list[int]:
 
 
 def _check_required(requirement: Requirement) -> Finding:
-    found, fault = _installed(requirement)
+    installed, fault = _installed(requirement)
     if not fault:
-        return Finding(requirement.name, "ok", found)
+        return Finding(requirement.name, "ok", installed)
     name, lowest, _ = requirement
-    wanted = f"{name}>={lowest}" if lowest else name
-    return Finding(name, "FAULT", f'{fault}; pip install "{wanted}"')
+    specifier = f"{name}>={lowest}" if lowest else name
+    return Finding(name, "FAULT", f'{fault}; pip install "{specifier}"')
 
 
 def _check_extra(extra: str, requirements: list[Requirement]) -> Finding:

@@ -258,20 +258,20 @@ def run_corpus(arguments: argparse.Namespace) -> int:
     from ..common.files import check_path
     from ..laboratory.corpus.run_corpus import corpus
 
-    out = None if arguments.out is None else check_path(arguments.out, (".csv",))
+    path = None if arguments.out is None else check_path(arguments.out, (".csv",))
     result = corpus(
         arguments.folders,
         robots=arguments.robots,
         duration=arguments.duration,
         patience=arguments.patience,
-        out=out,
+        out=path,
         tried=_progress_of_corpus,
     )
     if sys.stderr.isatty():
         sys.stderr.write("\r\033[K")
     print(result)
-    if out is not None:
-        print(f"written to {out}")
+    if path is not None:
+        print(f"written to {path}")
     return 0 if result.passed else 1
 
 

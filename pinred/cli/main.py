@@ -148,16 +148,16 @@ class _Parser(argparse.ArgumentParser):
 
     def _refuse_unknown(self, words: Sequence[str]) -> None:
         """Exit with the nearest option if an option is unknown."""
-        known = list(self._option_string_actions)
+        flags = list(self._option_string_actions)
         for word in words:
             flag = word.partition("=")[0]
             if word == "--":
                 return
             is_option = _OPTION.fullmatch(flag) or _SHORT.fullmatch(flag)
-            if not is_option or any(name.startswith(flag) for name in known):
+            if not is_option or any(name.startswith(flag) for name in flags):
                 continue
             now = {former: name for name, former in FORMER.items()}
-            near = most_similar(flag, known)
+            near = most_similar(flag, flags)
             question = f"did you mean '{now.get(near, near)}'? See" if near else "see"
             self.exit(
                 2,

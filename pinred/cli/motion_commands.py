@@ -77,8 +77,8 @@ def add_run_arguments(sub: argparse.ArgumentParser) -> None:
     add("--compare", "compare with full ABA; exit 1 on failure")
     add("--out FILE", "write the motion to traj.npz, .csv, .h5, .zarr or .xml")
     engine = replace(RUN_OPTIONS["engine"], default="the engine in the file")
-    others = {name: RUN_OPTIONS[name] for name in ("check", "checkpoint")}
-    add_options(sub, {"engine": engine, **others})
+    further = {name: RUN_OPTIONS[name] for name in ("check", "checkpoint")}
+    add_options(sub, {"engine": engine, **further})
     add_parameters(sub, "value of a parameter of the file or of its robot, instead of the file's")
     add("--schema", "print the JSON Schema of scene files")
 
@@ -296,8 +296,8 @@ def add_sweep_arguments(sub: argparse.ArgumentParser) -> None:
     repeated = {name: SWEEP_OPTIONS[name] for name in ("vary", "outputs")}
     for option in repeated.values():
         add_repeated(sub, option.command, f"{option.description}; repeatable")
-    others = {name: key for name, key in SWEEP_OPTIONS.items() if name not in repeated}
-    add_options(sub, others)
+    single = {name: key for name, key in SWEEP_OPTIONS.items() if name not in repeated}
+    add_options(sub, single)
     sub.add_argument("--threads", metavar="N", type=int, help="number of local threads")
     add_parameters(sub, "value of a parameter of the file or of its robot, instead of the file's")
 
@@ -320,8 +320,8 @@ def run_sweep(arguments: argparse.Namespace) -> int:
     with naming(file.place):
         for name in file.sweep.get("vary", {}):
             refuse_vague(nominal(scene.system), name)
-    others = {name: key for name, key in SWEEP_OPTIONS.items() if name not in ("vary", "outputs")}
-    stated = options_in(arguments, others)
+    single = {name: key for name, key in SWEEP_OPTIONS.items() if name not in ("vary", "outputs")}
+    stated = options_in(arguments, single)
     if arguments.vary:
         stated["vary"] = {**file.sweep.get("vary", {}), **_assigned(arguments.vary)}
     if arguments.outputs:
@@ -378,6 +378,6 @@ def summary_of_sweep(result: SweepResult) -> str:
         quantiles = np.nanquantile(values.values, _QUANTILES)
         unit = values.attrs.get("units", "")
         shown = ", ".join(f"{value:.6g}" for value in quantiles)
-        percents = ", ".join(f"{100 * part:.0f}" for part in _QUANTILES)
+        percents = ", ".join(f"{100 * quantile:.0f}" for quantile in _QUANTILES)
         lines.append(f"  {name}{f' [{unit}]' if unit else ''}: {shown} at {percents} %")
     return "\n".join(lines)

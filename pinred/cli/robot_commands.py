@@ -168,8 +168,8 @@ def _play(arguments: argparse.Namespace, equilibria: Equilibria) -> int:
     )
     traj = simulate(scene, progress=True)
     print(f"playing {index}, {equilibrium}")
-    out = None if arguments.out is None else Path(arguments.out)
-    show_motion(traj, out, View(fps=default_fps(out)))
+    path = None if arguments.out is None else Path(arguments.out)
+    show_motion(traj, path, View(fps=default_fps(path)))
     return 0
 
 

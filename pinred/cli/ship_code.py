@@ -156,8 +156,8 @@ def _between(system: System, method: str) -> Any:
 
 def _uncommon(system: System) -> Any:
     """Read a batch, prescribe a joint, hold a torque piecewise, and integrate along a gait."""
-    joint, *others = system.space.names
-    torque = Torque({others[0]: Hold([0.0, 0.5 * _DURATION], [1.0, 0.0])})
+    joint, *further = system.space.names
+    torque = Torque({further[0]: Hold([0.0, 0.5 * _DURATION], [1.0, 0.0])})
     driven: dict[str, Any] = {
         "duration": _DURATION,
         "prescribed": {joint: "0.1*sin(t)"},

@@ -199,18 +199,18 @@ def run_play(arguments: argparse.Namespace) -> int:
 
     _check(arguments)
     pair = None if arguments.pair is None else tuple(arguments.pair.split(","))
-    out = None if arguments.out is None else Path(arguments.out)
-    fps = default_fps(out) if arguments.fps is None else arguments.fps
+    path = None if arguments.out is None else Path(arguments.out)
+    fps = default_fps(path) if arguments.fps is None else arguments.fps
     meshes = arguments.meshes or not arguments.no_meshes
     view = View(
         ghost=arguments.ghost, speed=arguments.speed, fps=fps, pair=pair,
         sphere=arguments.sphere, meshes=meshes,
     )  # fmt: skip
-    if out is not None:
+    if path is not None:
         from ..common.files import check_path
         from ..views.playback.film import SUFFIXES
 
-        check_path(out, (*PAGES, *SUFFIXES))  # Check the path before a long simulation.
+        check_path(path, (*PAGES, *SUFFIXES))  # Check the path before a long simulation.
     else:
         from ..views.playback.server import check_port
 
@@ -222,7 +222,7 @@ def run_play(arguments: argparse.Namespace) -> int:
         else _at_rest(arguments.motion, arguments.meshes)
     )
     show_motion(
-        motion, out, view, viewer=arguments.viewer, port=arguments.port, show=not arguments.no_open
+        motion, path, view, viewer=arguments.viewer, port=arguments.port, show=not arguments.no_open
     )
     return 0
 

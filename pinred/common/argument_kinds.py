@@ -190,13 +190,13 @@ def _signature(function: Callable[..., Any]) -> tuple[str, str]:
     code = function.__code__
     names = list(code.co_varnames)
     count, total = code.co_argcount, code.co_argcount + code.co_kwonlyargcount
-    plain, only, rest = names[:count], names[count:total], names[total:]
+    plain, only, star_names = names[:count], names[count:total], names[total:]
     first = count - len(function.__defaults__ or ())
     declared = [f"{name}=0" if i >= first else name for i, name in enumerate(plain)]
     if code.co_posonlyargcount:
         declared.insert(code.co_posonlyargcount, "/")
-    star = f"*{rest.pop(0)}" if code.co_flags & inspect.CO_VARARGS else "*" * bool(only)
-    options = [f"**{rest[0]}"] if code.co_flags & inspect.CO_VARKEYWORDS else []
+    star = f"*{star_names.pop(0)}" if code.co_flags & inspect.CO_VARARGS else "*" * bool(only)
+    options = [f"**{star_names[0]}"] if code.co_flags & inspect.CO_VARKEYWORDS else []
     defaults = function.__kwdefaults__ or {}
     declared += [star] * bool(star) + [f"{n}=0" if n in defaults else n for n in only] + options
     passed = [*plain, *[star] * (star > "*"), *(f"{name}={name}" for name in only), *options]
@@ -236,8 +236,8 @@ class _Checks:
     def __init__(self, function: Callable[..., Any], owner: type | None) -> None:
         hints = inspect.get_annotations(function)
         code = inspect.unwrap(function).__code__
-        own = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
-        self.names = [name for name in own if hints.get(name, "Any") != "Any"]
+        names = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
+        self.names = [name for name in names if hints.get(name, "Any") != "Any"]
         defaults = inspect.signature(inspect.unwrap(function)).parameters
         # A marker, such as that of a default factory, is admitted independent of the annotation.
         markers = [type(defaults[name].default) for name in self.names]
@@ -281,12 +281,12 @@ def parameter_kinds(
     Returns:
         Kinds by name.
     """
-    known = _Names(inspect.unwrap(function).__globals__)
+    scope = _Names(inspect.unwrap(function).__globals__)
     for base in reversed(owner.__mro__ if owner else ()):
-        known.update(vars(sys.modules[base.__module__]))
-    known["ArrayLike"] = _Numbers
+        scope.update(vars(sys.modules[base.__module__]))
+    scope["ArrayLike"] = _Numbers
     hints = inspect.get_annotations(function)
-    return {name: kind_of(hints[name], known) for name in names}
+    return {name: kind_of(hints[name], scope) for name in names}
 
 
 class _Names(dict[str, Any]):

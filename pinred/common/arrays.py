@@ -79,10 +79,10 @@ def vector(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) -
         value if type(value) is np.ndarray and value.dtype is _FLOATS else as_floats(value, what)
     )
     if array.shape != (size,):
-        found = str(len(array)) if array.ndim == 1 else f"shape {array.shape}"
+        shape = str(len(array)) if array.ndim == 1 else f"shape {array.shape}"
         if size == len(labels) <= _MOST_LABELS:
             numbers = "1 number" if size == 1 else f"{size} numbers"
-            raise ShapeError(f"{what}: expected {numbers}: {', '.join(labels)}, got {found}")
+            raise ShapeError(f"{what}: expected {numbers}: {', '.join(labels)}, got {shape}")
         raise ShapeError(f"{what} must have shape ({size},), got {array.shape}")
     return _finite(array, what, labels)
 

@@ -79,13 +79,13 @@ def _target_named(name: str) -> CPUTarget:
     if not name:
         fma = is_arm or bool(features.get("fma"))
         return CPUTarget(llvm.get_host_cpu_name(), features.flatten(), fma)
-    known = _ARM if is_arm else _X86
-    if name not in known:
+    targets = _ARM if is_arm else _X86
+    if name not in targets:
         raise InputError(
-            f"{VARIABLE}: expected one of {', '.join(known)}, got {name!r}. "
+            f"{VARIABLE}: expected one of {', '.join(targets)}, got {name!r}. "
             "Unset it to compile for this machine"
         )
-    missing = [feature for feature in known[name] if not features.get(feature)]
+    missing = [feature for feature in targets[name] if not features.get(feature)]
     if missing:
         raise InputError(
             f"{VARIABLE}: expected a CPU whose features this machine has, got {name!r}, but "

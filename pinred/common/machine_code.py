@@ -81,7 +81,7 @@ def load_objects(codes: Mapping[str, bytes]) -> tuple[NativeCode, ...]:
     """
     parts = {name: list(_parts(code)) for name, code in codes.items()}
     for name, code in codes.items():
-        if not all(part[:_IDENTITY] == _identity() for part in parts[name]):
+        if not all(object_code[:_IDENTITY] == _identity() for object_code in parts[name]):
             raise InputError(
                 f"the {len(code)} bytes for '{name}' are not object code for this machine"
             )
@@ -89,8 +89,8 @@ def load_objects(codes: Mapping[str, bytes]) -> tuple[NativeCode, ...]:
         machine = create_machine(1)
         # Use the global context, because a private one would have to outlive the engine.
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-        for part in chain.from_iterable(parts.values()):
-            engine.add_object_file(llvm.ObjectFileRef.from_data(part))
+        for object_code in chain.from_iterable(parts.values()):
+            engine.add_object_file(llvm.ObjectFileRef.from_data(object_code))
         engine.finalize_object()
         addresses = {name: engine.get_function_address(name) for name in codes}
     for name, address in addresses.items():
@@ -108,10 +108,10 @@ def archive_of(parts: Sequence[bytes]) -> bytes:
         The archive.
     """
     members = (
-        f"{f'{k}.o/':<16}{0:<12}{0:<6}{0:<6}{'100600':<8}{len(part):<10}`\n".encode()
-        + part
-        + b"\n" * (len(part) % 2)
-        for k, part in enumerate(parts)
+        f"{f'{k}.o/':<16}{0:<12}{0:<6}{0:<6}{'100600':<8}{len(code):<10}`\n".encode()
+        + code
+        + b"\n" * (len(code) % 2)
+        for k, code in enumerate(parts)
     )
     return _ARCHIVE + b"".join(members)
 

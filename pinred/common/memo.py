@@ -60,9 +60,9 @@ def recent(owner: object, key: Hashable, make: Callable[[], _T], most: int, kind
             values.move_to_end(key)
             value = values[key]
             return value
-    made = make()
+    computed = make()
     with _LOCK:
-        value = values.setdefault(key, made)  # another thread may have been faster
+        value = values.setdefault(key, computed)  # another thread may have been faster
         values.move_to_end(key)
         while len(values) > most:
             values.popitem(last=False)

@@ -159,8 +159,8 @@ class NamedResults(dict[str, T]):
 
     def __missing__(self, name: str) -> NoReturn:
         names = [*self]
-        known = f"the {self._kind}s are {listed(names)}" if names else f"there is no {self._kind}"
-        raise KeyError(f"no {self._kind} {quoted(str(name))}; {nearest(str(name), names)}{known}")
+        hint = f"the {self._kind}s are {listed(names)}" if names else f"there is no {self._kind}"
+        raise KeyError(f"no {self._kind} {quoted(str(name))}; {nearest(str(name), names)}{hint}")
 
     def __reduce__(self) -> tuple[type, tuple[str, dict[str, T]]]:
         return type(self), (self._kind, dict(self))

@@ -47,8 +47,8 @@ def unpack(data: Any, buffers: Sequence[bytes | memoryview]) -> Any:
         case "arrays":
             shapes, flat = (unpack(entry, buffers) for entry in content)
             ends = np.cumsum(shapes.prod(axis=1))
-            parts = np.split(flat, ends[:-1])
-            return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
+            pieces = np.split(flat, ends[:-1])
+            return [piece.reshape(shape) for piece, shape in zip(pieces, shapes, strict=True)]
         case "columns":
             columns = {key: unpack(entry, buffers) for key, entry in content.items()}
             return [

@@ -107,8 +107,8 @@ def _transmission(actuator: Actuator, s: Symbols) -> tuple[list[int], list[Any],
     length = ca.dot(ca.DM(gear), rotation_vector(q[:3], q[3]))
     if actuator.in_parent:
         u, axes = q[:3], ca.DM(gear)
-        turned = ca.cross(u, axes)
-        gear = ca.vertsplit(axes - 2.0 * (q[3] * turned - ca.cross(u, turned)))
+        cross = ca.cross(u, axes)
+        gear = ca.vertsplit(axes - 2.0 * (q[3] * cross - ca.cross(u, cross)))
     joints = [first, first + 1, first + 2]
     return joints, gear, length, sum(g * s.xdot[k] for g, k in zip(gear, joints, strict=True))
 

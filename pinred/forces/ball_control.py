@@ -138,14 +138,14 @@ class BallLimit(Named):
             The terms of this force.
         """
         q, _ = s.ball(self.joint, self.name)
-        along, w = q[_AXES[self.axis]], q[3]
-        twist_square = along * along + w * w  # cos²(φ/2)
+        component, w = q[_AXES[self.axis]], q[3]
+        twist_square = component * component + w * w  # cos²(φ/2)
         potential = ca.SX(0)
         if self.swing is not None:
             potential += _softplus(ca.cos(self.swing) - (2.0 * twist_square - 1.0), self.width)
         if self.twist is not None:
             # cos ψ = (w² − a²)/(w² + a²), which is not defined at a swing of half a turn
-            cosine = (w * w - along * along) / twist_square
+            cosine = (w * w - component * component) / twist_square
             potential += _softplus(ca.cos(self.twist) - cosine, self.width)
         return Terms(potential=number(self.stiffness) * potential)
 

@@ -165,9 +165,9 @@ class ForceExpressions:
     def _check_symbols(self, terms: Terms, label: str) -> None:
         """Raise InputError if a force contains a symbol that is not among its arguments."""
         s = self.symbols
-        seen = (s.seen.pose, s.seen.xi, s.seen.mu, s.seen.J)
+        observed = (s.seen.pose, s.seen.xi, s.seen.mu, s.seen.J)
         allowed = ca.vertcat(
-            s.t, s.x, s.xdot, s.xi, s.mu, *seen, *self._numbers.symbols, self._robot.column
+            s.t, s.x, s.xdot, s.xi, s.mu, *observed, *self._numbers.symbols, self._robot.column
         )
         hashes = {symbol.element_hash() for symbol in ca.symvar(allowed)}
         for symbol in ca.symvar(ca.SX(ca.vertcat(*terms.expressions))):
@@ -316,9 +316,9 @@ class ForceModel:
             within: Symbol of the time that selects the segments of tables, or None.
         """
         self._state_kinks: bool | None = None
-        held = {k for _, where in terms.held for k in range(where.start, where.stop)}
-        held |= {self.within.start} if within is not None else set()
-        constant = [symbol for k, symbol in enumerate(numbers.symbols) if k not in held]
+        held_numbers = {k for _, where in terms.held for k in range(where.start, where.stop)}
+        held_numbers |= {self.within.start} if within is not None else set()
+        constant = [symbol for k, symbol in enumerate(numbers.symbols) if k not in held_numbers]
         t, symbol = terms.symbols.t, ca.SX.sym("within") if within is None else within
         separated = separate([terms.torques, terms.wrenches, *terms.motion], t, symbol, constant)
         if separated is None:
@@ -443,10 +443,10 @@ class ForceModel:
 
     def _evaluate(self, function: Numeric, at: ForceInputs) -> list[Array]:
         """Return the results of a compiled function, (..., rows, columns) each."""
-        t, *others = self._arguments(at)
+        t, *arguments = self._arguments(at)
         if isinstance(t, np.ndarray):
-            return function.at_all(t[:, None], *others)
-        return function(t, *others)
+            return function.at_all(t[:, None], *arguments)
+        return function(t, *arguments)
 
     def _arguments(self, at: ForceInputs) -> tuple[Any, ...]:
         """Return the arguments of the compiled functions."""
@@ -494,8 +494,8 @@ class ForceModel:
 
         def make() -> TimeFunctions:
             functions = [(self.acting_function, 5), (self.prescribed_function, 1)]
-            held = {k for _, where in self.held for k in range(where.start, where.stop)}
-            return TimeFunctions(functions, len(self.numbers), held)
+            held_numbers = {k for _, where in self.held for k in range(where.start, where.stop)}
+            return TimeFunctions(functions, len(self.numbers), held_numbers)
 
         return once(self.switching, TimeFunctions, make)
 

@@ -146,10 +146,10 @@ def cached_force_model(
     Raises:
         InputError: A force, a signal or a joint name is invalid.
     """
-    owner, freed, links = system, NOTHING, tuple[int, ...]()
+    owner, variable, links = system, NOTHING, tuple[int, ...]()
     if varied is not None:
         owner, links = nominal(system), varied.links
-        freed = freed_of(owner, varied.free, varied.placed, varied.turned, generic=True)
+        variable = freed_of(owner, varied.free, varied.placed, varied.turned, generic=True)
     # Cache by value; objects without value equality are keyed by identity and kept alive.
     sprung = [_spring(name, pair) for name, pair in springs.items()]
     everything = _all_forces(sprung, forces, prescribed)
@@ -157,12 +157,12 @@ def cached_force_model(
         tuple(sprung),
         *map(_key_of_force, forces),
         *((name, _key_of(signal)) for name, signal in prescribed.items()),
-        freed,
+        variable,
         links,
     )
 
     def build() -> ForceModel:
-        return ForceModel(owner, everything, prescribed, freed, links)
+        return ForceModel(owner, everything, prescribed, variable, links)
 
     def make() -> tuple[ForceModel, object]:
         tables: dict[Table, Hashable] = {}
@@ -170,7 +170,7 @@ def cached_force_model(
             tuple(sprung),
             *(_kind_of_force(force, tables) for force in forces),
             *((name, _kind_of(signal, tables)) for name, signal in prescribed.items()),
-            freed,
+            variable,
             links,
         )
         if not tables:
@@ -242,10 +242,10 @@ def _key_of(signal: Plan) -> Hashable:
 def _spring(name: str, pair: Any) -> Spring:
     """Return the spring with (stiffness, rest position); each may be a Parameter."""
     numbers = values_of(list(pair) if isinstance(pair, (list, tuple)) else pair)
-    stiffness, rest = spring_pair(name, numbers).tolist()
+    stiffness, rest_angle = spring_pair(name, numbers).tolist()
     for k, parameter in parameters_in(pair):
-        stiffness, rest = (parameter, rest) if k == 0 else (stiffness, parameter)
-    return Spring(name, stiffness, rest)
+        stiffness, rest_angle = (parameter, rest_angle) if k == 0 else (stiffness, parameter)
+    return Spring(name, stiffness, rest_angle)
 
 
 def _all_forces(

@@ -167,11 +167,11 @@ class TablesOfRuns(SpanNumbers):
 
 def tables_of_runs(tables: Sequence[Tables]) -> SpanNumbers:
     """Return the tables of several runs, one Tables object each."""
-    distinct = {id(each): each for each in tables}
+    distinct = {id(table): table for table in tables}
     if len(distinct) == 1:
         return tables[0]
     index = {key: k for k, key in enumerate(distinct)}
-    which = np.array([index[id(each)] for each in tables])
+    which = np.array([index[id(table)] for table in tables])
     return TablesOfRuns(tuple(distinct.values()), which)
 
 

@@ -103,11 +103,11 @@ class FunctionBuffers:
             function: The Function.
             shared: Arrays to use for inputs by index, such as outputs of another Function.
         """
-        f, given = function, shared or {}
+        f, values = function, shared or {}
         buffer: Any
         buffer, self._run = f.buffer()
         self._kept = function, buffer  # `_run` holds only pointers to them
-        self.inputs = [given.get(k, np.zeros(f.nnz_in(k))) for k in range(f.n_in())]
+        self.inputs = [values.get(k, np.zeros(f.nnz_in(k))) for k in range(f.n_in())]
         self.outputs = [np.zeros(f.size_out(k), order="F") for k in range(f.n_out())]
         for set_view, arrays in ((buffer.set_arg, self.inputs), (buffer.set_res, self.outputs)):
             for k, array in enumerate(arrays):

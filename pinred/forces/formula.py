@@ -54,8 +54,8 @@ class Formula(SymbolFunction):
 
 def formula_names(s: Symbols) -> dict[str, Any]:
     """Return the variables of the state that formulas may use, {name: symbols}."""
-    seen = s.seen
-    columns = {"mu": s.mu, "pose": seen.pose, "xi": seen.xi, "J": seen.J}
+    observed = s.seen
+    columns = {"mu": s.mu, "pose": observed.pose, "xi": observed.xi, "J": observed.J}
     return {
         "t": s.t,
         "x": {name: s.x[k] for k, name in enumerate((*s.x_names, *s.followers))},
@@ -89,8 +89,10 @@ class _Heights(dict[str, ca.SX]):
         super().__init__((str(f.name), ca.SX(0.0)) for f in frames)
 
     def __getitem__(self, name: str) -> ca.SX:
-        seen = self._seen
-        return height(self._system, ca.SX(seen.pose), ca.SX(seen.x)[: self._system.nx], name)
+        observed = self._seen
+        return height(
+            self._system, ca.SX(observed.pose), ca.SX(observed.x)[: self._system.nx], name
+        )
 
 
 class _Expression:

@@ -107,16 +107,16 @@ def separate(
         The expressions and the switches.
     """
     column = ca.vertcat(ca.SX(0, 1), *(ca.vec(ca.densify(e)) for e in expressions))
-    known = [t, within, *numbers]
-    hashes = {symbol.element_hash() for symbol in known}
-    others = [s for s in ca.symvar(column) if s.element_hash() not in hashes]
-    function = ca.Function("f", [ca.vertcat(*known, *others)], [column])
-    if not _has_switches(function, len(known)):
+    arguments = [t, within, *numbers]
+    hashes = {symbol.element_hash() for symbol in arguments}
+    unknown = [s for s in ca.symvar(column) if s.element_hash() not in hashes]
+    function = ca.Function("f", [ca.vertcat(*arguments, *unknown)], [column])
+    if not _has_switches(function, len(arguments)):
         return None
     walk = _Walk(t, within)
     inputs = [
-        *(_Node(s, timed=k == 0, level=0, stated=s, written=s) for k, s in enumerate(known)),
-        *map(_Node, others),
+        *(_Node(s, timed=k == 0, level=0, stated=s, written=s) for k, s in enumerate(arguments)),
+        *map(_Node, unknown),
     ]
     values = walk.run(function, inputs)
     separated, first = [], 0
@@ -135,16 +135,18 @@ def _has_switches(function: ca.Function, known: int) -> bool:
         op, into = function.instruction_id(k), function.instruction_output(k)
         if op in (ca.OP_CONST, ca.OP_OUTPUT):
             continue
-        given = function.instruction_input(k)
+        operands = function.instruction_input(k)
         if op == ca.OP_INPUT:
-            work[into[0]] = timed if given[1] == 0 else other * (given[1] >= known)
+            work[into[0]] = timed if operands[1] == 0 else other * (operands[1] >= known)
             continue
-        if op in KINKS and any(work[i] == timed for i in given):
-            decides = work[given[0]] if op == ca.OP_IF_ELSE_ZERO else max(work[i] for i in given)
+        if op in KINKS and any(work[i] == timed for i in operands):
+            decides = (
+                work[operands[0]] if op == ca.OP_IF_ELSE_ZERO else max(work[i] for i in operands)
+            )
             if decides == timed:
                 return True
         kind = 0
-        for i in given:
+        for i in operands:
             kind |= work[i]
         work[into[0]] = kind
     return False
@@ -168,13 +170,13 @@ class _Walk:
                 constant = ca.SX(function.instruction_constant(k))
                 work[into[0]] = _Node(constant, level=0, stated=constant, written=constant)
                 continue
-            given = function.instruction_input(k)
+            operands = function.instruction_input(k)
             if op == ca.OP_INPUT:
-                work[into[0]] = inputs[given[1]]
+                work[into[0]] = inputs[operands[1]]
             elif op == ca.OP_OUTPUT:
-                outputs[into[1]] = work[given[0]].now
+                outputs[into[1]] = work[operands[0]].now
             else:
-                work[into[0]] = self._node(op, [work[i] for i in given])
+                work[into[0]] = self._node(op, [work[i] for i in operands])
         return outputs
 
     def _node(self, op: int, given: list[_Node]) -> _Node:
@@ -208,11 +210,11 @@ class _Walk:
             is_less = self._add(ca.OP_LT, given, _combined(ca.OP_SUB, given))
             chosen, other = (first, second) if op == ca.OP_FMIN else (second, first)
             is_not = _combined(ca.OP_NOT, [is_less])
-            parts = [
+            summands = [
                 _combined(ca.OP_IF_ELSE_ZERO, [is_less, chosen]),
                 _combined(ca.OP_IF_ELSE_ZERO, [is_not, other]),
             ]
-            return _combined(ca.OP_ADD, parts)
+            return _combined(ca.OP_ADD, summands)
         if op in (ca.OP_FMOD, ca.OP_REMAINDER):
             quotient = _combined(ca.OP_DIV, given)
             if op == ca.OP_REMAINDER:
@@ -228,8 +230,8 @@ class _Walk:
         if op in (ca.OP_LT, ca.OP_LE):
             return self._add(op, given, _combined(ca.OP_SUB, given))
         # Equality and logical operations on numbers change their values only at isolated times.
-        whole = op in (ca.OP_FLOOR, ca.OP_CEIL)
-        return self._add(op, given, first if whole else None, whole=whole)
+        is_rounding = op in (ca.OP_FLOOR, ca.OP_CEIL)
+        return self._add(op, given, first if is_rounding else None, whole=is_rounding)
 
     def _towards_zero(self, quotient: _Node, count: _Node) -> _Node:
         negative = self._add(ca.OP_LT, [count, _constant(0.0)], None)
@@ -343,17 +345,17 @@ def bisected_roots(
         InputError: There are too many roots, or g stays too close to zero.
     """
     at, a, b = np.arange(len(spans.start)), spans.start, spans.stop
-    found: list[tuple[Indices, Array]] = []
+    roots: list[tuple[Indices, Array]] = []
     while at.size:
         if at.size > _MOST_INTERVALS:
             raise InputError(
                 "forces: a condition on time cannot be decided, because its argument stays close "
                 f"to its threshold near t = {float(a[0]):g} s. State the times as a Hold"
             )
-        own = [(column[at], column[at]) for column in columns]
+        constant_columns = [(column[at], column[at]) for column in columns]
         bounds = [
             [np.broadcast_to(side, a.shape) for side in pair]
-            for pair in program.bounds([(a, b), *own])
+            for pair in program.bounds([(a, b), *constant_columns])
         ]
         (low, high), (least, most) = bounds
         possible = (np.ceil(low) <= np.floor(high)) if whole else (low <= 0.0) & (high >= 0.0)
@@ -361,16 +363,16 @@ def bisected_roots(
         single = possible & ((least > 0.0) | (most < 0.0))
         short = possible & ~single & (b - a <= tiny)
         if short.any():
-            found.append((at[short], 0.5 * (a[short] + b[short])))
+            roots.append((at[short], 0.5 * (a[short] + b[short])))
         if single.any():
-            found.append(_in_brackets(program, columns, at[single], a[single], b[single], whole))
+            roots.append(_in_brackets(program, columns, at[single], a[single], b[single], whole))
         split = possible & ~single & ~short
         at, a, b = at[split], a[split], b[split]
         middle = 0.5 * (a + b)
         at, a, b = np.tile(at, 2), np.append(a, middle), np.append(middle, b)
-    if not found:
+    if not roots:
         return np.empty(0, int), np.empty(0)
-    at, time = (np.concatenate(rows) for rows in zip(*found, strict=True))
+    at, time = (np.concatenate(rows) for rows in zip(*roots, strict=True))
     return _changes(program, spans, columns, at, time, whole=whole)
 
 
@@ -436,9 +438,9 @@ def _in_brackets(
             newton = time - (value - target) / slope
         inside = (newton >= a) & (newton <= b)
         following = np.where(inside, newton, 0.5 * (a + b))
-        moved = np.abs(following - time)
+        change = np.abs(following - time)
         time = following
-        if (moved <= np.spacing(np.abs(time))).all():
+        if (change <= np.spacing(np.abs(time))).all():
             break
     return at, time
 
@@ -519,11 +521,14 @@ class SwitchTimes:
         first = tables.size if tables.signals else 0
         self.used = [k for k in used if k >= first]
         self._of_tables = [k for k in used if k < first]
-        own, segments = [numbers[k] for k in self.used], [numbers[k] for k in self._of_tables]
-        self._states = VectorProgram([within, *segments, *own], [s.value for s in states])
-        self._symbols, self._time, self._numbers = [s.state for s in states], t, own
+        used_numbers, segments = (
+            [numbers[k] for k in self.used],
+            [numbers[k] for k in self._of_tables],
+        )
+        self._states = VectorProgram([within, *segments, *used_numbers], [s.value for s in states])
+        self._symbols, self._time, self._numbers = [s.state for s in states], t, used_numbers
         # Tables within an argument select their segment by `within`, too.
-        inputs = [t, within, *segments, *self._symbols, *own]
+        inputs = [t, within, *segments, *self._symbols, *used_numbers]
         rates = [ca.jacobian(g, t) for g in arguments]
         self._linear = [not ca.depends_on(rate, t) for rate in rates]
         self._programs = [
@@ -575,7 +580,7 @@ class SwitchTimes:
         count, breaks = len(numbers), self.tables.breaks
         breaks = breaks[(breaks > 0.0) & (breaks < end)]
         tables = self.tables if tables is None else tables
-        own = np.ascontiguousarray(numbers[:, self.used].T)
+        used_numbers = np.ascontiguousarray(numbers[:, self.used].T)
         times = Times(
             np.repeat(np.arange(count), len(breaks)),
             np.tile(breaks, count),
@@ -583,13 +588,13 @@ class SwitchTimes:
         )
         for level in self._levels:
             spans = _spans_between(times, count, end)
-            columns = self._columns(spans, own, tables)
-            found = [
+            columns = self._columns(spans, used_numbers, tables)
+            roots = [
                 self._roots(k, spans, columns, end)
                 for k, switch in enumerate(self._located)
                 if switch.level == level
             ]
-            times = times.joined(found)
+            times = times.joined(roots)
             if len(times.time) > MOST_TIMES:
                 raise InputError(
                     f"forces: conditions on time change more than {MOST_TIMES} times until "
@@ -621,7 +626,7 @@ class SwitchTimes:
             rows[k] += self._slopes_at(
                 switch, time, [time_within(*span) for span in spans], numbers
             )
-        return [np.array(own).reshape(-1, len(numbers)) for own in rows]
+        return [np.array(row).reshape(-1, len(numbers)) for row in rows]
 
     def _slopes_at(
         self, switch: int, time: float, within: Sequence[float], numbers: Array
@@ -644,15 +649,17 @@ class SwitchTimes:
             argument, column = self._arguments[switch], ca.vertcat(self._time, *self._numbers)
             outputs = [argument, *ca.horzsplit(ca.jacobian(argument, column))]
             self._slopes[switch] = VectorProgram(self._inputs, outputs)
-        own, whole, sides = numbers[self.used], self._located[switch].whole, []
+        used_numbers, is_whole, sides = numbers[self.used], self._located[switch].whole, []
         for side in within:
             inside = [side, *self.tables.at(side)[self._of_tables]]
-            states = self._states(*inside, *own)
-            g, rate, *rest = (float(v) for v in self._slopes[switch](time, *inside, *states, *own))
+            states = self._states(*inside, *used_numbers)
+            g, rate, *derivatives = (
+                float(v) for v in self._slopes[switch](time, *inside, *states, *used_numbers)
+            )
             slopes = np.zeros(len(numbers))
             with np.errstate(divide="ignore", invalid="ignore"):
-                slopes[self.used] = -np.array(rest) / rate
-            distance = abs(g - round(g)) if whole and np.isfinite(g) else abs(g)
+                slopes[self.used] = -np.array(derivatives) / rate
+            distance = abs(g - round(g)) if is_whole and np.isfinite(g) else abs(g)
             sides.append((distance <= _NEAR * (abs(g) + abs(rate) * time), slopes))
         return [slopes for is_root, slopes in sides if is_root] or [sides[0][1]]
 
@@ -667,12 +674,12 @@ class SwitchTimes:
         return [*inside, *states, *numbers]
 
     def _roots(self, switch: int, spans: Spans, columns: list[Array], end: float) -> Times:
-        program, whole = self._programs[switch], self._located[switch].whole
+        program, is_whole = self._programs[switch], self._located[switch].whole
         if self._linear[switch]:
-            at, time = linear_roots(program, spans, columns, whole=whole)
+            at, time = linear_roots(program, spans, columns, whole=is_whole)
         else:
             at, time = bisected_roots(
-                program, spans, columns, whole=whole, tiny=0.5 * ROUND_OFF * end
+                program, spans, columns, whole=is_whole, tiny=0.5 * ROUND_OFF * end
             )
         keep = (time > ROUND_OFF * end) & (time < (1.0 - ROUND_OFF) * end)
         keep &= (time >= spans.start[at]) & (time <= spans.stop[at])

@@ -44,10 +44,10 @@ class TimeFunctions:
             held: Indices of the numbers that change during a run.
         """
         t, p = ca.SX.sym("t"), ca.SX.sym("p", size)
-        found: dict[int, _Value] = {}
+        values_by_index: dict[int, _Value] = {}
         for function, numbers in functions:
-            _collect(function, numbers, t, p, held, found)
-        values = [v for v in found.values() if _is_bent(v.expression, t)]
+            _collect(function, numbers, t, p, held, values_by_index)
+        values = [v for v in values_by_index.values() if _is_bent(v.expression, t)]
         values = [v for v in values if _is_known([t, p], v.expression)]
         groups = [_terms(value, t) for value in values]
         if sum(map(len, groups)) > _MOST_TERMS:
@@ -70,9 +70,11 @@ class TimeFunctions:
             The values, (count, …).
         """
         first, last = within.start, within.stop
-        own: list[Any] = [spans[k - first] if first <= k < last else numbers[k] for k in self.used]
+        inputs: list[Any] = [
+            spans[k - first] if first <= k < last else numbers[k] for k in self.used
+        ]
         values = np.empty((self.count, *times.shape))
-        for row, value in zip(values, self._program(times, *own), strict=True):
+        for row, value in zip(values, self._program(times, *inputs), strict=True):
             row[:] = value
         return values
 
@@ -89,8 +91,10 @@ class TimeFunctions:
             spans: Values of these numbers in each interval of time, (w, P).
         """
         first, last = within.start, within.stop
-        own: list[Any] = [spans[k - first] if first <= k < last else numbers[k] for k in self.used]
-        bounds = self._program.bounds([(starts, ends), *((value, value) for value in own)])
+        inputs: list[Any] = [
+            spans[k - first] if first <= k < last else numbers[k] for k in self.used
+        ]
+        bounds = self._program.bounds([(starts, ends), *((value, value) for value in inputs)])
         widths = np.empty((self.count, len(starts)))
         for row, (low, high) in zip(widths, bounds, strict=True):
             row[:] = np.subtract(high, low)
@@ -110,13 +114,13 @@ def _is_bent(expression: ca.SX, t: ca.SX) -> bool:
 
 def _terms(value: _Value, t: ca.SX) -> list[ca.SX]:
     """Return the terms of a sum; those that are linear in time are added up."""
-    bent, rest = [], ca.SX(0)
+    bent, straight = [], ca.SX(0)
     for term in value.terms or (value.expression,):
         if _is_bent(term, t):
             bent.append(term)
         else:
-            rest += term
-    return bent if rest.is_zero() else [*bent, rest]
+            straight += term
+    return bent if straight.is_zero() else [*bent, straight]
 
 
 def _is_known(inputs: Sequence[ca.SX], expression: ca.SX) -> bool:
@@ -170,18 +174,18 @@ def _collect(
         if op == ca.OP_CONST:
             work[into[0]] = _Value(_CONSTANT, ca.SX(function.instruction_constant(k)))
             continue
-        given: Any = function.instruction_input(k)
+        operands: Any = function.instruction_input(k)
         if op == ca.OP_INPUT:
-            work[into[0]] = _input(given, numbers, t, p, held)
+            work[into[0]] = _input(operands, numbers, t, p, held)
         elif op == ca.OP_OUTPUT:
-            use(work[given[0]])
+            use(work[operands[0]])
         else:
-            values = [work[i] for i in given]
+            values = [work[i] for i in operands]
             value = _apply(op, values)
             if value.kind == _STATE:
-                for each in values:
-                    if each.kind == _TIMED:
-                        use(each)
+                for operand in values:
+                    if operand.kind == _TIMED:
+                        use(operand)
             work[into[0]] = value
 
 
@@ -196,14 +200,14 @@ def _apply(op: int, values: Sequence[_Value]) -> _Value:
     expression = operation(op, *(value.expression for value in values))
     terms: tuple[ca.SX, ...] = ()
     if kind == _TIMED and op in (*_SUMS, ca.OP_MUL, ca.OP_DIV):
-        parts = [value.terms or (value.expression,) for value in values]
+        term_lists = [value.terms or (value.expression,) for value in values]
         if op in (ca.OP_ADD, ca.OP_SUB):
-            if sum(map(len, parts)) <= _MOST_TERMS:
-                terms = (*parts[0], *(operation(op, 0.0, e) for e in parts[1]))
+            if sum(map(len, term_lists)) <= _MOST_TERMS:
+                terms = (*term_lists[0], *(operation(op, 0.0, e) for e in term_lists[1]))
         elif op == ca.OP_DIV:
-            terms = tuple(operation(op, e, values[1].expression) for e in parts[0])
-        elif prod(map(len, parts)) <= _MOST_TERMS:
-            terms = tuple(operation(op, *factors) for factors in product(*parts))
+            terms = tuple(operation(op, e, values[1].expression) for e in term_lists[0])
+        elif prod(map(len, term_lists)) <= _MOST_TERMS:
+            terms = tuple(operation(op, *factors) for factors in product(*term_lists))
     return _Value(kind, expression, any(timed), kind == _STATE and any(timed) and bent, terms)
 
 

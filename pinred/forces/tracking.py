@@ -95,8 +95,8 @@ def attitude_errors(
 
 def _turned_back(vector: ca.SX, scalar: ca.SX, sigma: ca.SX) -> ca.SX:
     """Return Eᵀ σ, (3,), for the rotation E of a unit quaternion."""
-    turned = ca.cross(vector, sigma)
-    back: ca.SX = sigma - 2.0 * scalar * turned + 2.0 * ca.cross(vector, turned)
+    cross = ca.cross(vector, sigma)
+    back: ca.SX = sigma - 2.0 * scalar * cross + 2.0 * ca.cross(vector, cross)
     return back
 
 

@@ -37,13 +37,13 @@ class VectorProgram:
         self._steps: list[tuple[int, Any, Any]] = []
         for k in range(function.n_instructions()):
             op, into = function.instruction_id(k), function.instruction_output(k)
-            given: Any = function.instruction_input(k)
+            operands: Any = function.instruction_input(k)
             if op == ca.OP_CONST:
-                given = function.instruction_constant(k)
+                operands = function.instruction_constant(k)
             elif op not in _POINTS and op not in (ca.OP_INPUT, ca.OP_OUTPUT):
                 name = next(name for name, code in vars(ca).items() if code is op or code == op)
                 raise InputError(f"a condition on time contains {name}, which has no bounds")
-            self._steps.append((op, into, given))
+            self._steps.append((op, into, operands))
 
     def __call__(self, *values: Any) -> list[Any]:
         """Return the outputs, (P,) or scalars, at points: one array (P,) or number per input."""
@@ -58,15 +58,15 @@ class VectorProgram:
     def _run(self, operations: _Operations, values: Sequence[Any], number: Any) -> list[Any]:
         work: list[Any] = [None] * self._size
         outputs: list[Any] = [number(0.0)] * self._outputs
-        for op, into, given in self._steps:
+        for op, into, operands in self._steps:
             if op == ca.OP_OUTPUT:
-                outputs[into[1]] = work[given[0]]
+                outputs[into[1]] = work[operands[0]]
             elif op == ca.OP_INPUT:
-                work[into[0]] = values[given[1]]
+                work[into[0]] = values[operands[1]]
             elif op == ca.OP_CONST:
-                work[into[0]] = number(given)
+                work[into[0]] = number(operands)
             else:
-                work[into[0]] = operations[op](*(work[k] for k in given))
+                work[into[0]] = operations[op](*(work[k] for k in operands))
         return outputs
 
 

@@ -122,17 +122,21 @@ def _validate_between(
     # Gaps are differences of positions, which may be of the size of the loop.
     terms = np.abs(np.linalg.inv(mobility)) @ (units + np.abs(mobility) @ np.abs(change))
     expected = pull[1 + pairs : 1 + pairs + len(rows)] - change
-    found = out[1 + pairs : 1 + pairs + len(rows)]
-    require_agreement(who, "the multipliers", found, expected, terms, _TOLERANCE, kinds=is_length)
+    multipliers = out[1 + pairs : 1 + pairs + len(rows)]
+    require_agreement(
+        who, "the multipliers", multipliers, expected, terms, _TOLERANCE, kinds=is_length
+    )
     active, a = list(layout.active), len(layout.active)
     J = loop_jacobian(system, at.x)[rows]
-    sizes, pulled = np.abs(J).T @ np.abs(found), out[1 : 1 + a]
+    sizes, pulled = np.abs(J).T @ np.abs(multipliers), out[1 : 1 + a]
     kinds = at.is_linear[system.r :][active]
-    require_agreement(who, "the pull", pulled, (J.T @ found)[active], sizes[active], kinds=kinds)
+    require_agreement(
+        who, "the pull", pulled, (J.T @ multipliers)[active], sizes[active], kinds=kinds
+    )
     if layout.lifted_balls:
         q, pulled = at.x[layout.ball_x].reshape(-1, 4), out[1 + a : 1 + pairs].reshape(-1, 4)
         torques = 0.5 * quaternion_product(conjugate(q), pulled)[:, :3].ravel()
-        expected = (J.T @ found)[layout.ball_v]
+        expected = (J.T @ multipliers)[layout.ball_v]
         require_agreement(who, "the pull on balls", torques, expected, sizes[layout.ball_v])
     gap = np.array([np.abs(gaps / units).max()])
     require_agreement(who, "the gap", out[:1], gap, 1.0)

@@ -283,8 +283,8 @@ def _validate_wide_rate(
         parameters = np.transpose([states[i].parameters for i in selected]).ravel()
         for i, at in enumerate(states):
             # Without parameters of their own, the lanes with the other state have those of `at`.
-            given = parameters if own_parameters else at.parameters
-            values = evaluate(native.address, given, y, size * lanes).reshape(size, lanes)
+            numbers = parameters if own_parameters else at.parameters
+            values = evaluate(native.address, numbers, y, size * lanes).reshape(size, lanes)
             for lane in np.flatnonzero(selected == i):
                 rate = values[:, lane]
                 if (i, rate.tobytes()) in validated:

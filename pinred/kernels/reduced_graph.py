@@ -227,9 +227,9 @@ class ReducedGraph:
             gyroscopic = cross(self.pi[v : v + 3], sigma)
             force = [sub(a, b) for a, b in zip(self.pidot[v : v + 3], gyroscopic, strict=True)]
             scale = 2.0 / total([mul(c, c) for c in q])
-            along = quaternion_rate(q, [mul(scale, c) for c in force])
+            pushed = quaternion_rate(q, [mul(scale, c) for c in force])
             rates.append(
-                [2.0 * a + b for a, b in zip(along, quaternion_rate(p, sigma), strict=True)]
+                [2.0 * a + b for a, b in zip(pushed, quaternion_rate(p, sigma), strict=True)]
             )
         return rates
 

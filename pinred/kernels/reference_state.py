@@ -101,14 +101,14 @@ class Sizes:
         )
         gravity = slice(layout.gravity_at, layout.bodies_at)
         sizes[gravity] = np.linalg.norm(parameters[gravity])
-        freed, bodies = layout.freed, sizes[layout.bodies_at :]
-        for i in freed.inertias:
-            mass, moments, inertia = np.split(bodies[freed.of_inertia(i)], [1, 4])
+        variable, bodies = layout.freed, sizes[layout.bodies_at :]
+        for i in variable.inertias:
+            mass, moments, inertia = np.split(bodies[variable.of_inertia(i)], [1, 4])
             largest = inertia.max()
             moments[:] = np.maximum(moments, _SMALL * np.sqrt(mass * largest))
             inertia[:] = np.maximum(inertia, _SMALL * largest)
-        placements = [(bodies[freed.of_step(i)], 4) for i, _ in freed.steps]
-        placements += [(bodies[freed.of_link(i)], 9) for i in freed.links]
+        placements = [(bodies[variable.of_step(i)], 4) for i, _ in variable.steps]
+        placements += [(bodies[variable.of_link(i)], 9) for i in variable.links]
         for numbers, turns in placements:
             numbers[:turns] = np.maximum(numbers[:turns], _SMALL)
             numbers[turns:] = np.maximum(numbers[turns:], _SMALL * self.length)
@@ -249,9 +249,9 @@ class ReferenceState:
     def velocity_terms(self) -> Array:
         """Return the magnitude, (n,), of terms that sum to the solution v of H v = (μ, π)."""
         J, rates = np.abs(self.loop_rows), np.abs(self.v)
-        given = [len(self.mu) + k for k in self.prescribed]
+        prescribed = [len(self.mu) + k for k in self.prescribed]
         terms = self.momentum_terms + J.T @ np.abs(self.nu)
-        return self.solved_terms(terms, J[:, given] @ rates[given]) + rates
+        return self.solved_terms(terms, J[:, prescribed] @ rates[prescribed]) + rates
 
     @cached_property
     def loop_rows(self) -> Array:
@@ -456,10 +456,10 @@ def random_state(
     time = float(rng.uniform(*span))
     prescribed = list(layout.prescribed)
     force_parameters, accelerations = np.empty(0), np.zeros(len(prescribed))
-    rest = system.space.neutral
+    start = system.space.neutral
     if system.closure is not None:
-        rest, displacement = system.closure.x, _NEAR_CLOSED * displacement
-    x = system.space.integrate(rest, displacement * reach)
+        start, displacement = system.closure.x, _NEAR_CLOSED * displacement
+    x = system.space.integrate(start, displacement * reach)
     if system.closure is not None and is_closed:
         movable = np.ones(m, dtype=bool)
         movable[prescribed] = False

@@ -58,9 +58,9 @@ def jacobian_graph(
     y, cuts = graph.y, graph.cuts
     sweep = _matrix(sweep_jacobian(graph.swept, bodies_of(system), system.group.axes, lanes))
     through = sweep @ ca.jacobian(graph.sweep_inputs, y)
-    whole = ca.jacobian(graph.rates, y) + ca.jacobian(graph.rates, cuts) @ through
-    (whole,) = ca.substitute([whole], [cuts], [graph.sweep_results])
-    column = ca.vec(ca.densify(whole).T)
+    jacobian = ca.jacobian(graph.rates, y) + ca.jacobian(graph.rates, cuts) @ through
+    (jacobian,) = ca.substitute([jacobian], [cuts], [graph.sweep_results])
+    column = ca.vec(ca.densify(jacobian).T)
     function = lanes.function("jacobian", [y, graph.parameters], column)
     return function, lanes.marks["jacobian"]
 

@@ -66,18 +66,18 @@ def trial_states(kernel: Kernel, count: int, seed: int = 0) -> Iterator[Referenc
     Raises:
         InputError: The forces are not finite at most random states.
     """
-    rng, found = np.random.default_rng(seed), 0
+    rng, yielded = np.random.default_rng(seed), 0
     for trial in range(_TRIALS):
         # Some forces, such as barriers, are undefined far from zero, so later states are smaller.
         at = random_state(kernel, rng, 0.9 ** max(0, trial - _STATES))
         if at is not None:
             yield at
-            found += 1
-        if found == count:
+            yielded += 1
+        if yielded == count:
             return
     raise InputError(
         f"the forces or prescribed joints of '{kernel.system.name}' are not finite at "
-        f"{_TRIALS - found} of {_TRIALS} random states; functions such as sqrt and log must "
+        f"{_TRIALS - yielded} of {_TRIALS} random states; functions such as sqrt and log must "
         "be defined near the motion"
     )
 

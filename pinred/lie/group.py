@@ -204,28 +204,28 @@ class Group(ABC):
         Raises:
             InputError: The quantity is unknown.
         """
-        own = {
+        by_quantity = {
             "twist": self.twist_names, "pose": self.pose_names, "momentum": self.momentum_names,
         }  # fmt: skip
-        if quantity not in own:
-            raise InputError(f"quantity: expected {' or '.join(own)}, got {quantity!r}")
-        names = own[quantity]
-        found = {name: k for k, name in enumerate(names)}
+        if quantity not in by_quantity:
+            raise InputError(f"quantity: expected {' or '.join(by_quantity)}, got {quantity!r}")
+        names = by_quantity[quantity]
+        numbers = {name: k for k, name in enumerate(names)}
         for k, axis in enumerate(self.axes):
             if axis < 3:
-                others = [self.pose_names[k], self.twist_names[k], f"v{axis + 1}"]
-                others += [self.velocity_names[k]]
-                others += [self.momentum_names[k], f"p{axis + 1}"] * (quantity == "momentum")
+                aliases = [self.pose_names[k], self.twist_names[k], f"v{axis + 1}"]
+                aliases += [self.velocity_names[k]]
+                aliases += [self.momentum_names[k], f"p{axis + 1}"] * (quantity == "momentum")
             elif quantity == "pose" and self.turns > 1:
                 continue
             else:
-                others = ["θ", "theta", "turn", "ω", "w", "omega"] if self.turns == 1 else []
-                others += [f"{letter}{axis - 2}" for letter in ("ω", "w", "omega")]
-                others += [self.velocity_names[k]]
-                others += [self.momentum_names[k], f"L{axis - 2}"] * (quantity == "momentum")
-            for name in others:
-                found.setdefault(name, k)
-        return found
+                aliases = ["θ", "theta", "turn", "ω", "w", "omega"] if self.turns == 1 else []
+                aliases += [f"{letter}{axis - 2}" for letter in ("ω", "w", "omega")]
+                aliases += [self.velocity_names[k]]
+                aliases += [self.momentum_names[k], f"L{axis - 2}"] * (quantity == "momentum")
+            for name in aliases:
+                numbers.setdefault(name, k)
+        return numbers
 
     def turned(self, attitude: Array, v: Array) -> Array:
         """Rotate linear components from body axes to fixed axes.

@@ -260,9 +260,11 @@ def load_gait(path: str | Path) -> GaitFile:
     """
     document, place = read_document(path, GAIT_FILE, "gait")
     folder = Path(path).parent
-    given = file_parameters(document, place)
-    system, others = with_robot_parameters(robot_in(document, folder, place), given, place)
-    refuse_others(system, others)
+    parameters = file_parameters(document, place)
+    system, other_values = with_robot_parameters(
+        robot_in(document, folder, place), parameters, place
+    )
+    refuse_others(system, other_values)
     with naming(place / "connection"):
         table = document.get("connection", {"kind": "mechanical"})
         connection = connection_in(table, system, document.get("independent"))

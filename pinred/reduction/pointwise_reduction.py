@@ -271,9 +271,9 @@ class PointwiseReduction:
             A copy in the new section.  Raises InputError if Θ or ∂Θ is not the derivative, or if h
             depends on the sign of a quaternion.
         """
-        moved = copy(self)
-        moved.frames = (*self.frames, MovedFrame(self.system, h))
-        return moved
+        reduction = copy(self)
+        reduction.frames = (*self.frames, MovedFrame(self.system, h))
+        return reduction
 
     def same_section(self, other: PointwiseReduction) -> bool:
         """Return whether another reduction has the same system and section."""

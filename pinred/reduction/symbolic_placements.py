@@ -35,14 +35,16 @@ def joint_frames(system: System, values: list[ca.SX]) -> list[Placement]:
     frames: list[Placement] = [(ca.SX.zeros(3), ca.SX([0, 0, 0, 1]))] * 2
     for i, joint in enumerate(system.tree.joints, start=2):
         S = axes_of(model.joints[i])
-        here = values[joint.x.start : joint.x.stop]
+        coordinates = values[joint.x.start : joint.x.stop]
         shift, turn = ca.SX.zeros(3), ca.SX([0, 0, 0, 1])
         if joint.kind.is_ball:
-            turn = ca.vertcat(*here)
+            turn = ca.vertcat(*coordinates)
         elif joint.kind.units == ("m",):
-            shift = ca.SX(S[:3, 0]) * here[0]
+            shift = ca.SX(S[:3, 0]) * coordinates[0]
         else:
-            turn = ca.vertcat(ca.SX(S[3:, 0]) * ca.sin(here[0] / 2), ca.cos(here[0] / 2))
+            turn = ca.vertcat(
+                ca.SX(S[3:, 0]) * ca.sin(coordinates[0] / 2), ca.cos(coordinates[0] / 2)
+            )
         fixed = fixed_placement(model.jointPlacements[i])
         frames.append(compose(compose(frames[model.parents[i]], fixed), (shift, turn)))
     return frames

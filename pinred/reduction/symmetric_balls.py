@@ -60,7 +60,7 @@ def symmetric_balls(system: System, touched: Collection[int] = ()) -> tuple[Symm
     if not system.space.balls:
         return ()
     reach, carriers = _reach(system), {*system.sorted_model.parents.tolist()[1:]}
-    affected, found = {*touched} | loop_rates(system), []
+    affected, balls = {*touched} | loop_rates(system), []
     for ball in system.space.balls:
         i = system.sorted_joints[ball.v.start]
         if i in carriers:
@@ -68,8 +68,8 @@ def symmetric_balls(system: System, touched: Collection[int] = ()) -> tuple[Symm
         symmetric, axis = _axis_of_symmetry(system, system.sorted_model.inertias[i], reach)
         rates = [ball.v.start + k for k in range(3) if axis is None or abs(axis[k]) > _ALIGNED]
         if symmetric and not {*rates} & affected:
-            found.append(SymmetricBall(ball, axis))
-    return tuple(found)
+            balls.append(SymmetricBall(ball, axis))
+    return tuple(balls)
 
 
 def symmetric_balls_of(system: System, touched: frozenset[int]) -> tuple[SymmetricBall, ...]:

@@ -452,16 +452,16 @@ def constrained_variation(
         vector(value, system.m, name)
         for value, name in ((xdot, "xdot"), (dx, "dx"), (dxdot, "dxdot"))
     )
-    twist, moved, moved_rate = (
+    twist, displacement, moved_rate = (
         vector(value, system.r, name)
         for value, name in ((xi, "xi"), (eta, "eta"), (etadot, "etadot"))
     )
     A = at.local_connection
-    omega, vertical = twist + A @ v, moved + A @ variation
+    omega, vertical = twist + A @ v, displacement + A @ variation
     vertical_rate = moved_rate + A @ rate + at.dA @ v @ variation
     locked = vertical_rate + bracket(twist, vertical) - bracket(omega, A @ variation)
     locked = locked - np.einsum("iab,a,b->i", at.curvature, v, variation)
-    return ConstrainedVariation(moved_rate + bracket(twist, moved), locked)
+    return ConstrainedVariation(moved_rate + bracket(twist, displacement), locked)
 
 
 @dataclass(frozen=True)
@@ -505,8 +505,8 @@ def euler_poincare_of_lagrangian(
             f"lagrangian: expected a scalar CasADi expression in xi, got {type(value).__name__}"
         )
     hessian, gradient = ca.hessian(value, symbols)
-    found = ca.Function("l", [symbols], [value, gradient, hessian])(twist)
-    energy, momentum, metric = (np.array(entry, dtype=float) for entry in found)
+    derivatives = ca.Function("l", [symbols], [value, gradient, hessian])(twist)
+    energy, momentum, metric = (np.array(entry, dtype=float) for entry in derivatives)
     mu = momentum.ravel()
     rate = group.coadjoint(twist, mu)
     condition = np.linalg.cond(metric) if np.isfinite(metric).all() else np.inf

@@ -123,9 +123,9 @@ def _refuse_parts(
 ) -> None:
     """Reject a table that sets the same entries twice or only some entries of a quaternion."""
     for name, joint in balls.items():
-        whole = first, last = _place(joint, what != _RATES)
-        parts = [p for p in columns if p != whole and first <= p[0] < last]
-        if parts and (whole in columns or what != _RATES):
+        joint_columns = first, last = _place(joint, what != _RATES)
+        single_columns = [p for p in columns if p != joint_columns and first <= p[0] < last]
+        if single_columns and (joint_columns in columns or what != _RATES):
             raise InputError(
                 f"{what}: set joint '{name}' as a whole, as {what}={{'{name}': …}}, not by its "
                 "entries"
@@ -186,9 +186,9 @@ def _narrow(system: System, low: Array, high: Array) -> None:
         # The other leaders of a joint that follows several stay at the middle of their ranges.
         middle = coupled.G[j] @ (low + high) / 2.0
         for k, ratio in terms:
-            rest = b + middle - ratio * (low[k] + high[k]) / 2.0 if len(terms) > 1 else b
+            constant = b + middle - ratio * (low[k] + high[k]) / 2.0 if len(terms) > 1 else b
             with np.errstate(over="ignore"):  # Joints without limits have huge ones in Pinocchio.
-                least, most = sorted((limit - rest) / ratio for limit in limits)
+                least, most = sorted((limit - constant) / ratio for limit in limits)
             if max(low[k], least) < min(high[k], most):
                 low[k], high[k] = max(low[k], least), min(high[k], most)
 
@@ -306,9 +306,9 @@ def large_angles(x: Array, system: System) -> str:
     if not large:
         return ""
     name, angle = max(large, key=lambda named: abs(named[1]))
-    others = f" (and {len(large) - 1} more)" if len(large) > 1 else ""
+    more = f" (and {len(large) - 1} more)" if len(large) > 1 else ""
     return (
-        f"joint {quoted(name)} begins at {angle:g} rad, {abs(angle) / _TURN:.3g} turns{others}; "
+        f"joint {quoted(name)} begins at {angle:g} rad, {abs(angle) / _TURN:.3g} turns{more}; "
         f"in degrees that would be {math.radians(angle):.4g} rad"
     )
 
@@ -339,7 +339,7 @@ class HeldJoints:
 def held_joints(x0: Any, xdot0: Any) -> tuple[HeldJoints, HeldJoints]:
     """Return which joints keep their values and their rates when loops are closed."""
     by_name = [
-        tuple(map(str, given)) if isinstance(given, Mapping) else () for given in (x0, xdot0)
+        tuple(map(str, values)) if isinstance(values, Mapping) else () for values in (x0, xdot0)
     ]
     return HeldJoints(x0 is not None, by_name[0]), HeldJoints(xdot0 is not None, by_name[1])
 

@@ -231,17 +231,22 @@ def parse_control(value: Any, name: str) -> Control:
 
 def _check_actuators(names: Iterable[str], system: System) -> None:
     """Raise InputError if a name is not that of an actuator."""
-    known = [actuator.name for actuator in system.actuators]
+    actuators = [actuator.name for actuator in system.actuators]
     for name in names:
-        if name in known:
+        if name in actuators:
             continue
-        left_out = [n for left in system.left_out if left.what == "actuators" for n in left.names]
+        left_out = [
+            n
+            for left_out_entry in system.left_out
+            if left_out_entry.what == "actuators"
+            for n in left_out_entry.names
+        ]
         for entry in left_out:
             if entry.startswith(f"{name} ("):
                 raise InputError(f"controls: actuator {entry} is left out and cannot be driven")
         raise InputError(
-            f"controls: no actuator {quoted(str(name))}; {nearest(str(name), known)}"
-            f"the actuators of '{system.name}' are {listed(known, 30) or 'none'}"
+            f"controls: no actuator {quoted(str(name))}; {nearest(str(name), actuators)}"
+            f"the actuators of '{system.name}' are {listed(actuators, 30) or 'none'}"
         )
 
 

@@ -145,7 +145,7 @@ class SweepJob:
         values = self.values(first, last)
         status = np.full(last - first, DONE, dtype=np.uint8)
         reasons: dict[int, str] = {}
-        parts: list[dict[str, Array] | None] = []
+        blocks: list[dict[str, Array] | None] = []
         starts = range(0, last - first, self._together)
         for start in starts:
             rows = values[start : start + self._together]
@@ -157,10 +157,10 @@ class SweepJob:
                 row = start + failure.member
                 status[row] = REJECTED if failure.member in rejected else FAILED
                 reasons[first + row] = failure.reason
-            parts.append(None if len(rejected) == len(rows) else self._outputs_of(many))
+            blocks.append(None if len(rejected) == len(rows) else self._outputs_of(many))
             if progress is not None:
                 progress((start + len(rows)) / (last - first))
-        outputs = _joined(parts, [len(values[s : s + self._together]) for s in starts])
+        outputs = _joined(blocks, [len(values[s : s + self._together]) for s in starts])
         return Block(index, values, outputs, status, reasons, cpu_target().name)
 
     def _simulate(self, values: Array, threads: int | None) -> tuple[Trajectories, set[int]]:
@@ -189,13 +189,13 @@ def check_row_shape(name: str, known: tuple[int, ...], shape: tuple[int, ...]) -
 def _joined(parts: list[dict[str, Array] | None], counts: list[int]) -> dict[str, Array]:
     """Join the outputs of parts; the outputs of parts without valid points are NaN."""
     shapes: dict[str, tuple[int, ...]] = {}
-    for part in parts:
-        for name, values in (part or {}).items():
+    for block in parts:
+        for name, values in (block or {}).items():
             check_row_shape(name, shapes.setdefault(name, values.shape[1:]), values.shape[1:])
     return {
         name: np.concatenate([
-            np.full((count, *shape), np.nan) if part is None else part[name]
-            for part, count in zip(parts, counts, strict=True)
+            np.full((count, *shape), np.nan) if block is None else block[name]
+            for block, count in zip(parts, counts, strict=True)
         ])
         for name, shape in shapes.items()
     }  # fmt: skip

@@ -111,8 +111,8 @@ class Measure:
             return np.asarray(np.rad2deg(pose[:, -1, -1] - pose[:, 0, -1]))
         if self.entry is None:
             return np.asarray(np.rad2deg(group.error(pose[:, 0], pose[:, -1]).rotation))
-        moved = group.compose(group.inverse(pose[:, 0]), pose[:, -1])
-        return np.asarray(np.rad2deg(group.log(moved)[:, group.linear :]))
+        displacement = group.compose(group.inverse(pose[:, 0]), pose[:, -1])
+        return np.asarray(np.rad2deg(group.log(displacement)[:, group.linear :]))
 
     def _excursion(self, many: Trajectories) -> Array:
         space, x = many.system.space, many.fields(["x"])["x"]
@@ -253,9 +253,9 @@ def parse_outputs(scene: Scene, outputs: Outputs | None) -> tuple[Output, ...]:
     Raises:
         InputError: A field is unknown, or the argument has another form.
     """
-    known = _fields_of(scene)
+    fields = _fields_of(scene)
     if outputs is None:
-        outputs = [name for name in _DEFAULT if name in known]
+        outputs = [name for name in _DEFAULT if name in fields]
     if not isinstance(outputs, Mapping):
         if isinstance(outputs, str) or not all(isinstance(name, str) for name in outputs):
             raise InputError(
@@ -264,8 +264,8 @@ def parse_outputs(scene: Scene, outputs: Outputs | None) -> tuple[Output, ...]:
             )
         outputs = {name.removesuffix("(t)"): name for name in outputs}
     if not outputs:
-        raise InputError(f"outputs: expected at least one; the fields are {listed(known, 60)}")
-    return tuple(_output(scene, name, value, known) for name, value in outputs.items())
+        raise InputError(f"outputs: expected at least one; the fields are {listed(fields, 60)}")
+    return tuple(_output(scene, name, value, fields) for name, value in outputs.items())
 
 
 def _fields_of(scene: Scene) -> list[str]:

@@ -31,7 +31,7 @@ def plan_of_sweep(job: SweepJob) -> dict[str, Any]:
         job: The sweep.
     """
     sequence = job.sequence
-    parts: dict[str, Any] = {
+    entries: dict[str, Any] = {
         "format": FORMAT,
         "pinred": __version__,
         "robot": job.varied.scene.system.name,
@@ -52,7 +52,7 @@ def plan_of_sweep(job: SweepJob) -> dict[str, Any]:
             for output in job.outputs
         },
     }
-    return {**parts, "hash": digest_of_parts(parts)}
+    return {**entries, "hash": digest_of_parts(entries)}
 
 
 def digest_of_parts(parts: dict[str, Any]) -> str:
@@ -85,30 +85,30 @@ def first_difference(old: Any, new: Any) -> tuple[tuple[str, ...], Any, Any]:
 
 def _parts_of_scene(scene: Scene) -> dict[str, Any]:
     """Return numbers and digests, by option, that identify all numbers and expressions."""
-    plan, given, watched = members_plan(scene), scene.given, scene.watched
+    plan, states, watched = members_plan(scene), scene.given, scene.watched
     forces, varied = plan.forces, scene.varied
-    held = [] if forces is None else forces.held
+    held_joints = [] if forces is None else forces.held
     controllers = [
         [controller.name, controller.period, _text_of_function(controller.function)]
-        for controller, _ in held
+        for controller, _ in held_joints
     ]
     events = [[event.name, event.direction, event.terminal] for event in scene.events_given]
-    seen = watched and [watched.text, watched.numbers(scene.parameters).tolist()]
+    condition = watched and [watched.text, watched.numbers(scene.parameters).tolist()]
     stops = {"joint stops": _part([list(map(astuple, scene.bounds))])} if scene.bounds else {}
     return {
         "robot": sha256(model_bytes(scene.system)).hexdigest(),
         "gravity": _part(scene.system.gravity),
-        "x0": _part(given.x[0]),
-        "xdot0": _part(given.xdot[0]),
-        "pose0": _part(given.pose[0]),
-        "xi0" if given.mu is None else "momentum": _part(given.motion[0]),
+        "x0": _part(states.x[0]),
+        "xdot0": _part(states.xdot[0]),
+        "pose0": _part(states.pose[0]),
+        "xi0" if states.mu is None else "momentum": _part(states.motion[0]),
         "duration": scene.end,
         "times": _part(scene.report_times),
         "outputs": scene.outputs,
         "method": repr(plan.method),
         "parameters": {name: _part(value) for name, value in scene.parameters.items()},
         "varied parameters": None if varied is None else list(varied.names),
-        "events": _part([events, seen]),
+        "events": _part([events, condition]),
         "forces": _part([None if forces is None else repr(forces.key), controllers]),
         "tables": None if forces is None else forces.tables.digest.hex(),
         "numbers of springs, forces and prescribed joints": _part(plan.numbers),

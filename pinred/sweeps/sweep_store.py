@@ -580,10 +580,10 @@ def _unsealed(data: bytes) -> dict[str, Any] | None:
 
 def _difference(old: dict[str, Any], new: dict[str, Any]) -> str:
     """Return the first difference of two plans in words."""
-    (part, *names), before, now = first_difference(old, new)
+    (entry, *names), before, now = first_difference(old, new)
     if not names:
-        return _DIFFERENCES.get(part, f"{part}={before!r}")
-    words, place = _DIFFERENCES[part], ".".join(names)
+        return _DIFFERENCES.get(entry, f"{entry}={before!r}")
+    words, place = _DIFFERENCES[entry], ".".join(names)
     texts = [
         "none" if value is None else plain(str(value), _LONGEST_VALUE) for value in (before, now)
     ]
@@ -635,9 +635,9 @@ def read_plan(path: Path) -> dict[str, Any]:
     version = plan.get("format")
     if isinstance(version, int) and version > FORMAT:
         raise InputError(f"store: {name} was written by a newer version of pinred. Install it")
-    parts = {key: value for key, value in plan.items() if key != "hash"}
+    entries = {key: value for key, value in plan.items() if key != "hash"}
     is_valid = (
-        plan.get("hash") == digest_of_parts(parts)
+        plan.get("hash") == digest_of_parts(entries)
         and isinstance(version, int)
         and all(isinstance(plan.get(key), dict) for key in ("vary", "outputs"))
         and all(type(plan.get(key)) is int and plan[key] > 0 for key in ("points", "block"))
@@ -664,7 +664,7 @@ def read_blocks(path: Path, plan: Mapping[str, Any]) -> StoredBlocks:
         _refuse(path, "zarr.json", has_checksums)
     if has_checksums:
         _check_files(path, plan["hash"])
-    kinds = {array_name(name): isinstance(part, str) for name, part in plan["outputs"].items()}
+    kinds = {array_name(name): isinstance(output, str) for name, output in plan["outputs"].items()}
     functions = [name for name, is_function in kinds.items() if is_function]
     fields = [name for name, is_function in kinds.items() if not is_function]
     names = ["status", *map(array_name, plan["vary"]), *fields]

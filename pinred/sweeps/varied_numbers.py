@@ -244,7 +244,7 @@ def _unit(system: System, name: str, label: str) -> str:
 def _unit_of_stop(system: System, key: str) -> str:
     """Return the unit of a number of a stop."""
     joint, _, field = key.rpartition(".stop.")
-    unit = {each.name: each.kind.units[0] for each in system.tree.joints}[joint]
+    unit = {tree_joint.name: tree_joint.kind.units[0] for tree_joint in system.tree.joints}[joint]
     return {"restitution": "1", "rest_rate": f"{unit}/s"}.get(field, unit)
 
 
@@ -257,8 +257,8 @@ def _with_parameter(scene: Scene, key: str) -> tuple[Scene, str] | None:
     Returns:
         The changed scene and the unit, or None if there is no such number.
     """
-    word, _, rest = key.partition(".")
-    joint, _, which = rest.rpartition(".")
+    word, _, place = key.partition(".")
+    joint, _, which = place.rpartition(".")
     if word == "springs" and joint in scene.springs and which in ("stiffness", "rest"):
         pair = list(scene.springs[joint])
         k = ("stiffness", "rest").index(which)
@@ -267,15 +267,15 @@ def _with_parameter(scene: Scene, key: str) -> tuple[Scene, str] | None:
         pair[k] = Parameter(key, float(pair[k]))  # type: ignore[arg-type]
         springs = {**scene.springs, joint: (pair[0], pair[1])}
         return replace(scene, springs=springs), ""
-    if word == "prescribed" and rest in scene.prescribed:
-        plan = scene.prescribed[rest]
+    if word == "prescribed" and place in scene.prescribed:
+        plan = scene.prescribed[place]
         if not (isinstance(plan, Constant) and _is_number(plan.level)):
             return None
-        prescribed = {**scene.prescribed, rest: Parameter(key, float(plan.level))}  # type: ignore[arg-type]
+        prescribed = {**scene.prescribed, place: Parameter(key, float(plan.level))}  # type: ignore[arg-type]
         return replace(scene, prescribed=prescribed), ""
-    if word == "controls" and rest in _constant_controls(scene):
-        parameter = Parameter(key, float(scene.controls[rest]))  # type: ignore[arg-type, index]
-        return replace(scene, controls={**scene.controls, rest: parameter}), ""  # type: ignore[dict-item]
+    if word == "controls" and place in _constant_controls(scene):
+        parameter = Parameter(key, float(scene.controls[place]))  # type: ignore[arg-type, index]
+        return replace(scene, controls={**scene.controls, place: parameter}), ""  # type: ignore[dict-item]
     match = _FORCE.fullmatch(key)
     forces: list[Any] = list(vars(scene)["forces"])
     if match is None or int(match[1]) >= len(forces):
@@ -310,19 +310,19 @@ def _is_number(value: object) -> bool:
 
 def _with_stated_start(scene: Scene) -> Scene:
     """Return a scene that states its initial state by x0, xdot0, pose0 and xi0 or momentum."""
-    given = scene.given
+    start = scene.given
     states: dict[str, Any] = dict.fromkeys(("q0", "v0", "seed", "keyframe", "xi0", "momentum"))
-    states |= {"pose0": given.pose[0], "x0": given.x[0], "xdot0": given.xdot[0]}
-    states["xi0" if given.mu is None else "momentum"] = given.motion[0]
+    states |= {"pose0": start.pose[0], "x0": start.x[0], "xdot0": start.xdot[0]}
+    states["xi0" if start.mu is None else "momentum"] = start.motion[0]
     return replace(scene, **states)
 
 
 def _nominal(scene: Scene, member: str) -> Array:
     """Return the value of a vector in the scene; balls have rotation vectors in x0."""
-    given, system = scene.given, scene.system
+    start, system = scene.given, scene.system
     if member == "x0":
-        return np.asarray(system.space.chart(given.x)[0])
-    states = {"xdot0": given.xdot, "pose0": given.pose, "xi0": given.xi, "momentum": given.mu}
+        return np.asarray(system.space.chart(start.x)[0])
+    states = {"xdot0": start.xdot, "pose0": start.pose, "xi0": start.xi, "momentum": start.mu}
     if member in states:
         rows = states[member]
         assert rows is not None
@@ -342,23 +342,23 @@ def _hint(scene: Scene, key: str) -> str:
         for label in _first_names(entries)
     ]
     system = scene.system
-    own = list(_parameters_of(scene))
+    parameters = list(_parameters_of(scene))
     forces: tuple[Any, ...] = vars(scene)["forces"]
-    others = [f"springs.{joint}.{end}" for joint in scene.springs for end in ("stiffness", "rest")]
-    others += [f"forces[{k}].{name}" for k, f in enumerate(forces) for name in _numbers_of(f)]
-    others += [f"controls.{name}" for name in _constant_controls(scene)]
-    others += [
+    numbers = [f"springs.{joint}.{end}" for joint in scene.springs for end in ("stiffness", "rest")]
+    numbers += [f"forces[{k}].{name}" for k, f in enumerate(forces) for name in _numbers_of(f)]
+    numbers += [f"controls.{name}" for name in _constant_controls(scene)]
+    numbers += [
         f"{joint}.stop.{end}"
         for joint, stop in parse_stops(scene.stops, system).items()
         for end in numbers_of_stop(stop)
     ]
-    others += [
+    numbers += [
         f"prescribed.{joint}"
         for joint, plan in scene.prescribed.items()
         if isinstance(plan, Constant)
     ]
-    known = [*own, *others, *states, "seed"]
+    names = [*parameters, *numbers, *states, "seed"]
     return (
-        f"{nearest(key, known)}the numbers of the scene are {listed(known, 60)}; "
+        f"{nearest(key, names)}the numbers of the scene are {listed(names, 60)}; "
         f"{kinds_near(nominal(system), key)}, and .x, .y, .z and so on of vectors"
     )

@@ -169,17 +169,17 @@ class Assembly:
 
     def directed(self) -> tuple[Edge, ...]:
         """Return the joints, each after the link above it, directed away from the root link."""
-        placed, rest, edges = {self.root.link}, list(self.edges), list[Edge]()
-        while rest:
+        placed, unplaced, edges = {self.root.link}, list(self.edges), list[Edge]()
+        while unplaced:
             later = list[Edge]()
-            for edge in rest:
+            for edge in unplaced:
                 if edge.above in placed or edge.below in placed:
                     away = edge if edge.above in placed else edge.reversed()
                     placed.add(away.below)
                     edges.append(away)
                 else:
                     later.append(edge)
-            rest = later
+            unplaced = later
         return tuple(edges)
 
     def path(self, link: str) -> tuple[Edge, ...]:
@@ -212,11 +212,11 @@ class Assembly:
                 rates.append((joint, edge.rates))
                 at = pin.SE3.Identity()
             frame = model.addFrame(pin.Frame(edge.name, joint, above, at, edge.frame), False)
-            here = at * edge.to
+            frame_of_joint = at * edge.to
             places[edge.below] = (
                 joint,
-                here,
-                _add_link(model, self, edge.below, joint, here, frame),
+                frame_of_joint,
+                _add_link(model, self, edge.below, joint, frame_of_joint, frame),
             )
         model = builder.finish()
         for joint, limits in rates:
@@ -262,12 +262,12 @@ def _take_apart(system: System) -> Assembly:
         names = [name for body in bodies for name in body.links]
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"'{system.name}' has several links {quoted(twice)}; rename them")
-    first, moved = model.joints[1], bodies[0]
+    first, root_body = model.joints[1], bodies[0]
     root = Root(
-        system.root_name, first, moved.main, model.jointPlacements[1].copy(),
-        moved.places[moved.main], model.armature[: first.nv].copy(),
+        system.root_name, first, root_body.main, model.jointPlacements[1].copy(),
+        root_body.places[root_body.main], model.armature[: first.nv].copy(),
     )  # fmt: skip
-    edges = list(moved.fixed)
+    edges = list(root_body.fixed)
     for j in range(2, model.njoints):
         joint, body, under = model.joints[j], bodies[j - 1], bodies[model.parents[j] - 1]
         q = slice(joint.idx_q, joint.idx_q + joint.nq)
@@ -305,7 +305,7 @@ class _Body:
     ) -> None:
         self._model, self._joint, self._joint_frames = model, joint, joint_frames
         frames = [k for k, f in enumerate(model.frames) if f.parentJoint == joint]
-        own = joint_frames.get(joint)
+        own_frame = joint_frames.get(joint)
         names = {k: str(model.frames[k].name) for k in frames}
         bodies = [k for k in frames if model.frames[k].type == pin.FrameType.BODY]
         roots = [k for k in bodies if self._fixed_joint(k, bodies) is None]
@@ -329,17 +329,17 @@ class _Body:
         self.places.setdefault(self.main, pin.SE3.Identity())
         edges = {k: self._fixed_joint(k, bodies) for k in bodies if k != main}
         self.fixed = tuple(self._edge(k, names, edge) for k, edge in edges.items() if edge)
-        inner = {own, *bodies, *edges.values()}
+        inner = {own_frame, *bodies, *edges.values()}
         more: dict[str, list[tuple[str, pin.FrameType, pin.SE3]]] = {n: [] for n in self.places}
         for k in frames:
             if k not in inner:
                 frame, owner = model.frames[k], self.owners[k]
                 placement = self.places[owner].actInv(frame.placement)
                 more[owner].append((names[k], frame.type, placement))
-        total, here = model.inertias[joint], self.places[self.main]
+        total, main_place = model.inertias[joint], self.places[self.main]
         inertias = {n: stated.get(n, pin.Inertia.Zero()) for n in self.places}
         if len(self.places) == 1:
-            inertias[self.main] = here.actInv(total)
+            inertias[self.main] = main_place.actInv(total)
         self.links = {n: Link(inertias[n], tuple(more[n])) for n in self.places}
 
     def carrier(self, child: int) -> str:
@@ -370,8 +370,8 @@ class _Body:
     def _is_sum(self, bodies: Collection[int], stated: Mapping[str, pin.Inertia]) -> bool:
         """Return whether the inertia of the body is the sum of those stated for its links."""
         frames = [self._model.frames[k] for k in bodies]
-        parts = [f.placement.act(stated[f.name]) for f in frames if f.name in stated]
-        moments = np.array([moments_of(part) for part in parts]).reshape(-1, 10)
+        placed = [f.placement.act(stated[f.name]) for f in frames if f.name in stated]
+        moments = np.array([moments_of(inertia) for inertia in placed]).reshape(-1, 10)
         total = moments_of(self._model.inertias[self._joint])
         scale = np.abs(moments).sum(axis=0) + np.abs(total)
         return bool((np.abs(moments.sum(axis=0) - total) <= _SAME_INERTIA * scale.max()).all())
@@ -456,7 +456,7 @@ def renamed(assembly: Assembly, prefix: str) -> Assembly:
         return assembly
     links = {
         prefix + name: replace(
-            link, frames=tuple((prefix + frame, *rest) for frame, *rest in link.frames)
+            link, frames=tuple((prefix + frame, *further) for frame, *further in link.frames)
         )
         for name, link in assembly.links.items()
     }
@@ -480,8 +480,8 @@ def renamed_contents(contents: Contents, prefix: str) -> Contents:
         return replace(entry, **names)  # type: ignore[type-var]
 
     left_out = tuple(
-        replace(left, names=tuple(prefix + name for name in left.names))
-        for left in contents.left_out
+        replace(contents_entry, names=tuple(prefix + name for name in contents_entry.names))
+        for contents_entry in contents.left_out
     )
     entries: dict[str, Any] = {
         kind: tuple(map(renamed_entry, getattr(contents, kind))) for kind in _ENTRIES
@@ -492,9 +492,9 @@ def renamed_contents(contents: Contents, prefix: str) -> Contents:
 def both_contents(a: Contents, b: Contents) -> Contents:
     """Return the contents of two files together."""
     names: dict[tuple[str, bool], tuple[str, ...]] = {}
-    for left in (*a.left_out, *b.left_out):
-        key = left.what, left.demanded
-        names[key] = (*names.get(key, ()), *left.names)
+    for entry in (*a.left_out, *b.left_out):
+        key = entry.what, entry.demanded
+        names[key] = (*names.get(key, ()), *entry.names)
     entries: dict[str, Any] = {kind: (*getattr(a, kind), *getattr(b, kind)) for kind in _ENTRIES}
     return Contents(
         left_out=tuple(LeftOut(what, n, demanded) for (what, demanded), n in names.items()),
@@ -561,9 +561,9 @@ def refuse_reversed(contents: Contents, old: Assembly, new: Assembly, what: str)
             a reversed joint, which would move with another link.
     """
     links = {name for name in names_in(old) if name not in {e.name for e in old.edges}}
-    turned = {edge.name for edge in _reversed_joints(old, new)} - links
+    reversed_joints = {edge.name for edge in _reversed_joints(old, new)} - links
     for loop in contents.loops:
-        if isinstance(loop, Loop) and (at := turned & {loop.frame_a, loop.frame_b}):
+        if isinstance(loop, Loop) and (at := reversed_joints & {loop.frame_a, loop.frame_b}):
             raise UnsupportedOperationError(
                 f"{what}: loop {quoted(loop.name)} ends at joint {quoted(min(at))}, which "
                 "changes its direction. State a link or frame as the end of the loop"
@@ -605,17 +605,17 @@ def new_root(system: System, link: str, frame: pin.SE3) -> tuple[pin.JointModel,
             f"link {quoted(link)} of '{system.name}' cannot float on its own: joint "
             f"{quoted(outside)} moves it out of the group {group.name}"
         )
-    rest = assembly.root.to  # the frame on the moving side of the root, all joints at zero
+    frame_of_root = assembly.root.to  # the frame on the moving side of the root, all joints at zero
     for edge in path:
-        rest = rest * edge.at * edge.to
-    rest = rest * frame
+        frame_of_root = frame_of_root * edge.at * edge.to
+    frame_of_root = frame_of_root * frame
     if group.name == "SE3":
         return root_joint(group), frame.inverse()
     S, k = axes_of(assembly.root.joint), group.linear
-    origin = pin.SE3(rest.rotation, S[:3, :k] @ (S[:3, :k].T @ rest.translation))
+    origin = pin.SE3(frame_of_root.rotation, S[:3, :k] @ (S[:3, :k].T @ frame_of_root.translation))
     if group.turns < 3:
         # The part of the rotation about the axis of the group: the twist of swing and twist.
-        turn, axis = pin.Quaternion(rest.rotation).coeffs(), S[3:, k:].sum(axis=1)
+        turn, axis = pin.Quaternion(frame_of_root.rotation).coeffs(), S[3:, k:].sum(axis=1)
         angle = 2.0 * np.arctan2(axis @ turn[:3], turn[3])
         origin.rotation = pin.exp3(angle * axis)
-    return assembly.root.joint, origin.inverse() * rest * frame.inverse()
+    return assembly.root.joint, origin.inverse() * frame_of_root * frame.inverse()

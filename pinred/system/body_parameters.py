@@ -80,10 +80,10 @@ def body_parameter(system: System, name: str) -> BodyParameter | None:
         InputError: The link or joint is unknown, or it is a joint that moves several links with
             mass, so that the name is vague.
     """
-    found = _split(system, name)
-    if found is None:
+    word_and_kind = _split(system, name)
+    if word_and_kind is None:
         return None
-    word, kind = found
+    word, kind = word_and_kind
     bodies = body_names(system)
     if word not in bodies:
         names = list(bodies)
@@ -92,31 +92,31 @@ def body_parameter(system: System, name: str) -> BodyParameter | None:
             f"{nearest(word, names)}they are {listed(names, 60)}"
         )
     body = bodies[word]
-    whose, _, own = kind.rpartition(".")
+    whose, _, entry = kind.rpartition(".")
     if whose in ("body", "payload"):
-        return BodyParameter(name, body, own if whose == "body" else kind)
+        return BodyParameter(name, body, entry if whose == "body" else kind)
     links = _links_of(system, body)
-    heavy = [link for link, part in links.items() if part.inertia.mass > 0.0]
+    heavy = [link for link, link_part in links.items() if link_part.inertia.mass > 0.0]
     if word not in links:
         if len(heavy) > 1 or whose:
             raise InputError(
                 f"parameters: {quoted(name)}: joint {quoted(word)} moves the links "
-                f"{listed(heavy or links, 6) or 'none'}. Write '{word}.body.{own}' for the whole "
-                f"body, or 'LINK.{own}' for one of these links"
+                f"{listed(heavy or links, 6) or 'none'}. Write '{word}.body.{entry}' for the whole "
+                f"body, or 'LINK.{entry}' for one of these links"
             )
-        return BodyParameter(name, body, own)
-    known = heavy or not system.sorted_model.inertias[body + 1].mass
+        return BodyParameter(name, body, entry)
+    has_known_mass = heavy or not system.sorted_model.inertias[body + 1].mass
     alone = all(link == word for link in heavy) and links[word].at.isIdentity(0.0)
-    is_body = not known or (alone and not _rest(system, body).any())
-    return BodyParameter(name, body, own, "" if is_body else word)
+    is_body = not has_known_mass or (alone and not _rest(system, body).any())
+    return BodyParameter(name, body, entry, "" if is_body else word)
 
 
 def _split(system: System, name: str) -> tuple[str, str] | None:
     """Return the name of the link or joint, and the kind; None if the name has another form."""
     kinds = [kind for kind in SIZES if isinstance(name, str) and name.endswith(f".{kind}")]
     splits = [(name[: -len(kind) - 1], kind) for kind in sorted(kinds, key=len, reverse=True)]
-    known = body_names(system) if splits else {}
-    return next((split for split in splits if split[0] in known), splits[0] if splits else None)
+    bodies = body_names(system) if splits else {}
+    return next((split for split in splits if split[0] in bodies), splits[0] if splits else None)
 
 
 def body_names(system: System) -> dict[str, int]:
@@ -148,18 +148,24 @@ def refuse_vague(system: System, name: str) -> None:
     """
     if _split(system, name) is None:
         name = name.rpartition(".")[0]
-    found = _split(system, name)
-    if found is None or found[0] not in body_names(system):
+    word_and_kind = _split(system, name)
+    if word_and_kind is None or word_and_kind[0] not in body_names(system):
         return  # Another message names what is unknown.
     parameter = body_parameter(system, name)
     if parameter is None or not parameter.link or name != f"{parameter.link}.{parameter.kind}":
         return
     body, kind = parameter.body, parameter.kind
     links = _links_of(system, body)
-    others = [n for n, part in links.items() if part.inertia.mass > 0.0 and n != parameter.link]
-    if kind == "mass" and not others:
+    other_links = [
+        n for n, part in links.items() if part.inertia.mass > 0.0 and n != parameter.link
+    ]
+    if kind == "mass" and not other_links:
         return
-    fixed = f"is fixed to {listed(others, 6)}" if others else "is not in the frame of its joint"
+    fixed = (
+        f"is fixed to {listed(other_links, 6)}"
+        if other_links
+        else "is not in the frame of its joint"
+    )
     raise InputError(
         f"parameters: {quoted(name)} in a file is vague, since link {quoted(parameter.link)} "
         f"{fixed}: write '{parameter.link}.link.{kind}' for the link alone, or "
@@ -181,7 +187,10 @@ def link_inertias(model: pin.Model) -> dict[str, pin.Inertia]:
     Pinocchio keeps the inertia of a link that is fixed to another in the frame of the fixed joint.
     Where no link is fixed to another, the inertia belongs to the joint, and no link is stated.
     """
-    inertias, rest = dict[str, pin.Inertia](), [moments_of(inertia) for inertia in model.inertias]
+    inertias, moments = (
+        dict[str, pin.Inertia](),
+        [moments_of(inertia) for inertia in model.inertias],
+    )
     moving, carrying = dict[int, list[str]](), set[int]()
     for frame in model.frames:
         joint = int(frame.parentJoint)
@@ -191,15 +200,15 @@ def link_inertias(model: pin.Model) -> dict[str, pin.Inertia]:
         if above.type != pin.FrameType.FIXED_JOINT or above.parentJoint != joint:
             moving.setdefault(joint, []).append(str(frame.name))
         elif above.inertia.mass > 0.0:
-            moved = above.placement.act(above.inertia)
-            inertias[str(frame.name)] = frame.placement.actInv(moved)
-            rest[joint] -= moments_of(moved)
+            at_joint = above.placement.act(above.inertia)
+            inertias[str(frame.name)] = frame.placement.actInv(at_joint)
+            moments[joint] -= moments_of(at_joint)
             carrying.add(joint)
     for joint in carrying:
         names = moving.get(joint, [])
-        if rest[joint][0] > _REST * model.inertias[joint].mass and len(names) == 1:
+        if moments[joint][0] > _REST * model.inertias[joint].mass and len(names) == 1:
             place = model.frames[model.getFrameId(names[0], pin.FrameType.BODY)].placement
-            inertias[names[0]] = place.actInv(inertia_of(rest[joint]))
+            inertias[names[0]] = place.actInv(inertia_of(moments[joint]))
     return inertias
 
 
@@ -246,9 +255,9 @@ def _rest(system: System, body: int) -> Array:
     """
     total = moments_of(system.sorted_model.inertias[body + 1])
     links = [link.moved @ moments_of(link.inertia) for link in _links_of(system, body).values()]
-    rest = total - np.sum([np.zeros(10), *links], axis=0)
+    difference = total - np.sum([np.zeros(10), *links], axis=0)
     scale = np.abs([total, *links]).sum(axis=0)
-    return np.where(np.abs(rest) > _REST * scale, rest, 0.0)
+    return np.where(np.abs(difference) > _REST * scale, difference, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -393,16 +402,16 @@ class Bodies:
 
     def _part(self, entry: BodyParameter) -> _Part:
         """Return the part of a body that a parameter changes; make it at first."""
-        parts, key = self._parts[entry.body], (entry.link, entry.kind in _PAYLOAD)
-        if key not in parts:
+        by_link, key = self._parts[entry.body], (entry.link, entry.kind in _PAYLOAD)
+        if key not in by_link:
             if key == _LOAD:
-                parts[key] = _Part(pin.Inertia.Zero())
+                by_link[key] = _Part(pin.Inertia.Zero())
             elif key == _WHOLE:
-                parts[key] = _Part(self._body(entry.body))
+                by_link[key] = _Part(self._body(entry.body))
             else:
                 link = _links_of(self._system, entry.body)[entry.link]
-                parts[key] = _Part(link.inertia, moved=link.moved)
-        return parts[key]
+                by_link[key] = _Part(link.inertia, moved=link.moved)
+        return by_link[key]
 
     def _fixed_moments(self, body: int) -> Array:
         """Return the moments of a body that its parameters do not change, (10,).
@@ -410,29 +419,29 @@ class Bodies:
         Raises:
             InputError: Two parameters set the same property.
         """
-        parts = self._parts[body]
-        links = [key for key in parts if key not in (_WHOLE, _LOAD)]
-        first = {key: next(iter(part.names.values())) for key, part in parts.items()}
-        if _WHOLE in parts and links:
+        by_link = self._parts[body]
+        links = [key for key in by_link if key not in (_WHOLE, _LOAD)]
+        first = {key: next(iter(part.names.values())) for key, part in by_link.items()}
+        if _WHOLE in by_link and links:
             raise InputError(
                 f"parameters: '{first[_WHOLE]}' sets the whole body, of which '{first[links[0]]}' "
                 "sets a link. Omit one of them."
             )
-        for key, part in parts.items():
-            others = [name for kind, name in part.names.items() if kind != "log_cholesky"]
-            others += [first[_LOAD]] if key == _WHOLE and _LOAD in parts else []
-            if "log_cholesky" in part.names and others:
+        for key, part in by_link.items():
+            other_names = [name for kind, name in part.names.items() if kind != "log_cholesky"]
+            other_names += [first[_LOAD]] if key == _WHOLE and _LOAD in by_link else []
+            if "log_cholesky" in part.names and other_names:
                 raise InputError(
                     f"parameters: '{part.names['log_cholesky']}' sets all parameters of a "
-                    f"{'body' if key == _WHOLE else 'link'}. Omit '{others[0]}'."
+                    f"{'body' if key == _WHOLE else 'link'}. Omit '{other_names[0]}'."
                 )
-        if _WHOLE in parts:
+        if _WHOLE in by_link:
             return np.zeros(10)
         if not links:
             return moments_of(self._body(body))
         total = _rest(self._system, body)
         for name, link in _links_of(self._system, body).items():
-            if (name, False) not in parts:
+            if (name, False) not in by_link:
                 total = total + link.moved @ moments_of(link.inertia)
         return total
 
@@ -463,11 +472,11 @@ class Bodies:
         Raises:
             InputError: The values are not physical.
         """
-        parts = self._parts[body].values()
-        own_values = [values[name] for part in parts for name in part.names.values()]
+        by_link = self._parts[body].values()
+        own_values = [values[name] for part in by_link for name in part.names.values()]
         last = self._last.get(body)
         if last is None or any(a is not b for a, b in zip(last[0], own_values, strict=True)):
-            moments = [part.moments(values) for part in parts]
+            moments = [part.moments(values) for part in by_link]
             total = self._fixed[body].copy()
             for of_part, _ in moments:
                 total += of_part

@@ -49,11 +49,11 @@ def with_constant_loops(system: System, driven: Collection[str] = ()) -> System:
     search = _Search(system, driven)
     couplings, kept, constant = [*system.couplings], [], []
     for loop in system.loops:
-        found = search.couplings_of(loop, couplings)
-        if found is None:
+        new_couplings = search.couplings_of(loop, couplings)
+        if new_couplings is None:
             kept.append(loop)
         else:
-            couplings += found
+            couplings += new_couplings
             constant.append(loop)
     if not constant:
         return system
@@ -133,11 +133,13 @@ class _Search:
         law = coupled(self._system.tree, couplings, self._system.root_name)
         kinematics = LoopKinematics(self._system.sorted_model, [loop])
         for joints in [self._first] if self._is_stated(kinematics) else self._starts:
-            found = self._candidates(kinematics, law, joints)
-            if found is None or not self._verified(kinematics, [*couplings, *found], joints):
+            candidates = self._candidates(kinematics, law, joints)
+            if candidates is None or not self._verified(
+                kinematics, [*couplings, *candidates], joints
+            ):
                 continue
-            if self._has_keyframes(kinematics, [*couplings, *found]):
-                return found
+            if self._has_keyframes(kinematics, [*couplings, *candidates]):
+                return candidates
         return None
 
     def _is_stated(self, kinematics: LoopKinematics) -> bool:
@@ -181,21 +183,21 @@ class _Search:
         dependent = sorted(_last_independent(J, outward))
         if len(dependent) != np.linalg.matrix_rank(J, tol=_RANK * size):
             return None
-        others = [k for k in moving.tolist() if k not in dependent]
-        ratios = -np.linalg.lstsq(J[:, dependent], J[:, others], rcond=None)[0]
-        ratios *= units[dependent][:, None] / units[others]
-        whole = np.round(ratios)
-        ratios = np.where(np.abs(ratios - whole) < _WHOLE, whole, ratios)
+        independent = [k for k in moving.tolist() if k not in dependent]
+        ratios = -np.linalg.lstsq(J[:, dependent], J[:, independent], rcond=None)[0]
+        ratios *= units[dependent][:, None] / units[independent]
+        integers = np.round(ratios)
+        ratios = np.where(np.abs(ratios - integers) < _WHOLE, integers, ratios)
         values = _scalars(self._system.tree, joints)
-        found = []
+        candidates = []
         for k, row in zip(dependent, ratios, strict=True):
-            leaders = {space.names[j]: float(c) for j, c in zip(others, row, strict=True) if c}
+            leaders = {space.names[j]: float(c) for j, c in zip(independent, row, strict=True) if c}
             if not leaders:
                 return None
             name = space.names[k]
             offset = values[name] - sum(c * values[n] for n, c in leaders.items())
-            found.append(Coupling(name, leaders, offset if abs(offset) > _ROUND_OFF else 0.0))
-        return found
+            candidates.append(Coupling(name, leaders, offset if abs(offset) > _ROUND_OFF else 0.0))
+        return candidates
 
     def _verified(
         self, kinematics: LoopKinematics, couplings: Sequence[Coupling], start: Array
@@ -255,12 +257,12 @@ def _last_independent(J: Array, columns: Sequence[int]) -> list[int]:
     chosen: list[int] = []
     basis = np.zeros((len(J), 0))
     for k in reversed(columns):
-        rest = J[:, k] - basis @ (basis.T @ J[:, k])
-        rest -= basis @ (basis.T @ rest)
-        size = np.linalg.norm(rest)
+        residual = J[:, k] - basis @ (basis.T @ J[:, k])
+        residual -= basis @ (basis.T @ residual)
+        size = np.linalg.norm(residual)
         if size > _INDEPENDENT * np.linalg.norm(J[:, k]):
             chosen.insert(0, k)
-            basis = np.column_stack([basis, rest / size])
+            basis = np.column_stack([basis, residual / size])
     return chosen
 
 

@@ -270,8 +270,8 @@ def with_followers(
 def with_constants(coupling: Coupling, values: Mapping[str, float]) -> Coupling:
     """Replace the leaders that are locked by their values."""
     ratios = {name: ratio for name, ratio in coupling.ratios.items() if name not in values}
-    known = {name: ratio for name, ratio in coupling.ratios.items() if name in values}
-    offset = sum(ratio * values[name] for name, ratio in known.items()) + coupling.offset
+    constant = {name: ratio for name, ratio in coupling.ratios.items() if name in values}
+    offset = sum(ratio * values[name] for name, ratio in constant.items()) + coupling.offset
     return Coupling(coupling.follower, ratios, offset)
 
 

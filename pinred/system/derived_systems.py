@@ -261,9 +261,9 @@ def _closed(system: System, old: Assembly, new: Assembly, prefix: str = "") -> d
     """Return the values of joints at a closed shape, by their names in another assembly."""
     if system.closure is None:
         return {}
-    x, turned = system.closure.x, reversed_balls(old, new)
+    x, reversed_names = system.closure.x, reversed_balls(old, new)
     values = {prefix + joint.name: x[joint.x] for joint in system.space.joints}
-    return {n: conjugate(value) if n in turned else value for n, value in values.items()}
+    return {n: conjugate(value) if n in reversed_names else value for n, value in values.items()}
 
 
 def reroot(system: System, *, link: str, name: str = "") -> System:
@@ -281,11 +281,11 @@ def reroot(system: System, *, link: str, name: str = "") -> System:
     place, assembly = place_of(system, link, "root"), take_apart(system)
     joint, to = new_root(system, place.link, place.on_link)
     root = replace(assembly.root, joint=joint, link=place.link, to=to)
-    moved, contents = replace(assembly, root=root), contents_of(system)
-    refuse_reversed(contents, assembly, moved, "root")
-    arguments, closed = {"link": link, "name": name}, _closed(system, assembly, moved)
+    rerooted, contents = replace(assembly, root=root), contents_of(system)
+    refuse_reversed(contents, assembly, rerooted, "root")
+    arguments, closed = {"link": link, "name": name}, _closed(system, assembly, rerooted)
     derivation = Derivation("reroot", (system,), arguments, system.doubts, closed)
-    return to_system(moved, name or system.name, contents, derivation)
+    return to_system(rerooted, name or system.name, contents, derivation)
 
 
 def cut(system: System, *, link: str, part: int, root: str = "", name: str = "") -> System:
@@ -312,9 +312,9 @@ def cut(system: System, *, link: str, part: int, root: str = "", name: str = "")
     outside = tuple(e for e in edges if e.below not in below | idle)
     arguments = {"link": link, "part": part, "root": root, "name": name}
     joints = {e.name for e in (inside if part else outside) if e.joint is not None}
-    own = below if part else assembly.links.keys() - below - idle
-    contents = contents_of(system, joints, own)
-    links = {n: entry for n, entry in assembly.links.items() if n in own}
+    kept_links = below if part else assembly.links.keys() - below - idle
+    contents = contents_of(system, joints, kept_links)
+    links = {n: entry for n, entry in assembly.links.items() if n in kept_links}
     if not part:
         carrier = Assembly(links, outside, assembly.root, assembly.gravity)
         derivation = Derivation(
@@ -333,12 +333,12 @@ def cut(system: System, *, link: str, part: int, root: str = "", name: str = "")
                 f"root: the released part has no link {quoted(root)}; {nearest(root, [*links])}"
                 f"its links are {listed(links, 60)}"
             )
-        whole = to_system(released, name, contents, derivation)
-        joint, to = new_root(whole, root, pin.SE3.Identity())
-        moved = replace(released, root=replace(base, joint=joint, link=root, to=to))
-        refuse_reversed(contents, released, moved, "root")
-        closed = _closed(system, released, moved)
-        derivation, released = replace(derivation, closed=closed), moved
+        uncut = to_system(released, name, contents, derivation)
+        joint, to = new_root(uncut, root, pin.SE3.Identity())
+        rerooted = replace(released, root=replace(base, joint=joint, link=root, to=to))
+        refuse_reversed(contents, released, rerooted, "root")
+        closed = _closed(system, released, rerooted)
+        derivation, released = replace(derivation, closed=closed), rerooted
     return to_system(released, name or edge.below, contents, derivation)
 
 
@@ -509,24 +509,28 @@ class Transfer:
         self._prefixes = tuple(prefixes)
         # For each system: its joint, that of the new system, and whether it is a reversed ball.
         self._same: list[list[tuple[PlacedJoint, PlacedJoint, bool]]] = []
-        links, known = set[str](), set[str]()
+        links, previous_edges = set[str](), set[str]()
         for k, (system, prefix) in enumerate(zip(systems, prefixes, strict=True)):
             before = renamed(take_apart(system), prefix)
-            turned = reversed_balls(before, self._assembly)
+            reversed_names = reversed_balls(before, self._assembly)
             self._same.append([
-                (joint, self._slots[prefix + joint.name], prefix + joint.name in turned)
+                (joint, self._slots[prefix + joint.name], prefix + joint.name in reversed_names)
                 for joint in system.space.joints if prefix + joint.name in self._slots
             ])  # fmt: skip
             links |= {*before.links}
-            known |= {edge.name for edge in before.edges}
+            previous_edges |= {edge.name for edge in before.edges}
             if self._base is None and _same_root(before.root, self._assembly.root):
                 self._base = k
         self._runs: list[list[Edge]] = []
         for name in [name for name in edges if name in links]:
             run = [edges[name]]
-            while run[0].name not in known and run[0].above in edges and run[0].above not in links:
+            while (
+                run[0].name not in previous_edges
+                and run[0].above in edges
+                and run[0].above not in links
+            ):
                 run.insert(0, edges[run[0].above])
-            if run[0].name not in known and run[0].above in links:
+            if run[0].name not in previous_edges and run[0].above in links:
                 self._runs.append(run)
 
     def __call__(self, parts: Sequence[Moving]) -> Instant:
@@ -540,8 +544,10 @@ class Transfer:
         links = dict[str, tuple[pin.SE3, pin.Motion]]()
         for part, same in zip(parts, self._same, strict=True):
             for joint, slot, is_reversed in same:
-                here = part.state.x[joint.x], part.state.xdot[joint.v]
-                x[slot.x], xdot[slot.v] = reversed_ball(*here) if is_reversed else here
+                joint_state = part.state.x[joint.x], part.state.xdot[joint.v]
+                x[slot.x], xdot[slot.v] = (
+                    reversed_ball(*joint_state) if is_reversed else joint_state
+                )
             if self._runs or self._base is None:
                 links |= link_motions(part)
         for run in self._runs:

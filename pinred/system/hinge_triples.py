@@ -89,9 +89,15 @@ class HingeTriple:
         sine, cosine = a1 @ np.cross(before, after), before @ after
         in_lock = np.hypot(sine, cosine) <= _IN_LOCK**2
         first = 0.0 if in_lock else float(np.arctan2(sine, cosine))
-        rest = pin.exp3(a2 * second).T @ pin.exp3(a1 * first).T @ R
-        vee = np.array([rest[2, 1] - rest[1, 2], rest[0, 2] - rest[2, 0], rest[1, 0] - rest[0, 1]])
-        return np.array([first, second, np.arctan2(a3 @ vee, np.trace(rest) - 1.0)])
+        remainder = pin.exp3(a2 * second).T @ pin.exp3(a1 * first).T @ R
+        vee = np.array(
+            [
+                remainder[2, 1] - remainder[1, 2],
+                remainder[0, 2] - remainder[2, 0],
+                remainder[1, 0] - remainder[0, 1],
+            ]
+        )
+        return np.array([first, second, np.arctan2(a3 @ vee, np.trace(remainder) - 1.0)])
 
     def _refined(self, angles: Array, R: Array) -> Array:
         """Correct angles for axes that are not exactly at right angles, with Newton's method."""
@@ -141,7 +147,7 @@ def hinge_triples(
     """
     chain = root_chain(model)
     first = 1 if chain is None else chain.last + 1
-    found: list[HingeTriple] = []
+    triples: list[HingeTriple] = []
     used: set[str] = set()
     for joints in _sequences(model, first):
         triple = _triple(model, joints)
@@ -151,11 +157,11 @@ def hinge_triples(
         )
         triple = replace(triple, difference=difference)
         if triple.why_not:
-            found.append(triple)
+            triples.append(triple)
         elif used.isdisjoint(names):
             used |= {*names}
-            found.append(triple)
-    return _with_unique_names(model, found)
+            triples.append(triple)
+    return _with_unique_names(model, triples)
 
 
 def _sequences(model: pin.Model, first: int) -> Iterator[tuple[int, int, int]]:

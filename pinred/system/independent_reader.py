@@ -118,8 +118,8 @@ def _read_by_pinocchio(
             return SecondReading("Pinocchio", unread=reason)
         other = pin.Model()
         other.loadFromText(str(file))
-    own = _with_z_normals(robot.model, robot.special)
-    return SecondReading("Pinocchio", tuple(differences(own, other)))
+    model = _with_z_normals(robot.model, robot.special)
+    return SecondReading("Pinocchio", tuple(differences(model, other)))
 
 
 def _read_by_drake(path: Path, folders: tuple[str, ...], root: str | None) -> SecondReading:
@@ -160,23 +160,23 @@ def differences(own: pin.Model, other: pin.Model) -> Iterator[str]:
         other: Independent reading.
     """
     names = [str(name) for name in own.names[1:]]
-    others = [str(name) for name in other.names[1:]]
-    missing, more = set(others) - set(names), set(names) - set(others)
+    other_names = [str(name) for name in other.names[1:]]
+    missing, more = set(other_names) - set(names), set(names) - set(other_names)
     for words, joints in (("is not read", missing), ("is read by pinred only", more)):
         yield from (f"joint {quoted(name)} {words}" for name in sorted(joints))
     if missing or more:
         return
     yield from _of_body(own, other, 0, 0, "the root link")
-    found = False
+    differs = False
     for name in names:
         i, j = own.getJointId(name), other.getJointId(name)
         for phrase in _of_joint(own, other, i, j):
-            found = True
+            differs = True
             yield f"joint {quoted(name)}: {phrase}"
         for phrase in _of_body(own, other, i, j, f"the body of joint {quoted(name)}"):
-            found = True
+            differs = True
             yield phrase
-    if not found and own.nv:
+    if not differs and own.nv:
         yield from _of_mass_matrices(own, other, names)
 
 
@@ -196,8 +196,8 @@ def _of_joint(own: pin.Model, other: pin.Model, i: int, j: int) -> Iterator[str]
     parents = own.names[own.parents[i]], other.names[other.parents[j]]
     if parents[0] != parents[1]:
         yield f"it is on {quoted(parents[0])} instead of {quoted(parents[1])}"
-    at, there = own.jointPlacements[i].homogeneous, other.jointPlacements[j].homogeneous
-    if np.abs(at - there).max() > _SAME * max(1.0, float(np.abs(there).max())):
+    at, other_placement = own.jointPlacements[i].homogeneous, other.jointPlacements[j].homogeneous
+    if np.abs(at - other_placement).max() > _SAME * max(1.0, float(np.abs(other_placement).max())):
         yield "it has another placement"
     if ours.nq != theirs.nq or ours.nv != theirs.nv:
         yield f"it is of type {joint_kind(ours)} instead of {joint_kind(theirs)}"
@@ -289,10 +289,10 @@ def _plant(path: Path, folders: tuple[str, ...]) -> Any:
     plants = optional_package("pydrake.multibody.plant", _WHY)
     parsing = optional_package("pydrake.multibody.parsing", _WHY)
     plant = plants.MultibodyPlant(0.0)
-    found = read_document(path, folders, tolerant=True).found
+    paths = read_document(path, folders, tolerant=True).found
     with TemporaryDirectory(prefix="pinred-") as folder, drake_warnings():
         try:
-            parsing.Parser(plant).AddModels(str(_with_paths(path, found, Path(folder), {})))
+            parsing.Parser(plant).AddModels(str(_with_paths(path, paths, Path(folder), {})))
         except Exception as error:  # Drake raises RuntimeError and other types.
             raise LoadError(f"Drake: {str(error).strip().splitlines()[0]}") from None
     return plant
@@ -398,14 +398,17 @@ class _Pair:
         q, T = pin.neutral(model), np.zeros((model.nv, plant.num_velocities()))
         positions = plant.GetPositions(context).copy()
         for name, joint in self._joints.items():
-            own = model.joints[model.getJointId(name)]
+            joint_model = model.joints[model.getJointId(name)]
             values = rng.uniform(-1.0, 1.0, joint.num_positions())
             start, size = joint.position_start(), joint.num_positions()
             positions[start : start + size] = values
-            coordinates, rates = _converted(own, values)
-            q[own.idx_q : own.idx_q + own.nq] = coordinates
+            coordinates, rates = _converted(joint_model, values)
+            q[joint_model.idx_q : joint_model.idx_q + joint_model.nq] = coordinates
             first = joint.velocity_start()
-            T[own.idx_v : own.idx_v + own.nv, first : first + joint.num_velocities()] = rates
+            T[
+                joint_model.idx_v : joint_model.idx_v + joint_model.nv,
+                first : first + joint.num_velocities(),
+            ] = rates
         plant.SetPositions(context, positions)
         data = model.createData()
         if self._floats:

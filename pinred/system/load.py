@@ -218,8 +218,8 @@ def load(
         balls = (source.balls or False) if balls is False else balls
         text, source = source.urdf(), None
     if (source is None) == (text is None):
-        given = "neither" if text is None else "both"
-        raise InputError(f"load: expected either a source or text=, got {given}")
+        number = "neither" if text is None else "both"
+        raise InputError(f"load: expected either a source or text=, got {number}")
     requested = group_named(group) if isinstance(group, str) else group
     if requested is not None and not isinstance(requested, Group):
         raise InputError(f"group must be one of {', '.join(GROUPS)}, got {brief(group)}")
@@ -320,9 +320,9 @@ def _file_of(source: object) -> Path | None:
 def _report(system: System, *, strict: bool) -> None:
     """Warn about actions left out and about doubts, or refuse doubts if `strict`."""
     # URDF demands limits at most joints, so a warning about them would meet every file.
-    unusual = [left for left in system.left_out if not left.demanded]
+    unusual = [entry for entry in system.left_out if not entry.demanded]
     if unusual:
-        counts = ", ".join(f"{left.what} ({len(left.names)})" for left in unusual)
+        counts = ", ".join(f"{entry.what} ({len(entry.names)})" for entry in unusual)
         message = f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)"
         warnings.warn(message, LeftOutWarning, stacklevel=_CALLER)
     for warning in system.contents.warnings:

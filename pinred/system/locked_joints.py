@@ -322,14 +322,14 @@ class LockedJoints:
             {frame in the reduced model: same frame in the raw model}.  Frames with the same name
             and type are matched in order.
         """
-        moved = {i for i, place in self.carried({}).items() if place.twists.keys() & set(locked)}
+        moving = {i for i, place in self.carried({}).items() if place.twists.keys() & set(locked)}
         raw: dict[tuple[str, pin.FrameType], list[int]] = {}
         for k, frame in enumerate(self.raw.frames):
             raw.setdefault((str(frame.name), frame.type), []).append(k)
         matches = {}
         for k, frame in enumerate(model.frames):
             candidates = raw.get((str(frame.name), frame.type), [])
-            if candidates and self.raw.frames[first := candidates.pop(0)].parentJoint in moved:
+            if candidates and self.raw.frames[first := candidates.pop(0)].parentJoint in moving:
                 matches[k] = first
         return matches
 

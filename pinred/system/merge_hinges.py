@@ -110,7 +110,7 @@ class Merge:
     def with_hinges(self, names: Iterable[str]) -> list[str]:
         """Return names of joints, with the hinges of each of these balls in its place."""
         hinges = {triple.name: triple.hinges for triple in self.triples}
-        return [part for name in names for part in hinges.get(name, (name,))]
+        return [hinge for name in names for hinge in hinges.get(name, (name,))]
 
     def limits(self, raw: pin.Model) -> tuple[LeftOut, ...]:
         """Return the limits of the hinges that became balls, which a ball does not have."""

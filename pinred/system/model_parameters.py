@@ -378,9 +378,9 @@ def requested(system: System, parameters: Any) -> tuple[dict[str, Any], list[str
     """
     if isinstance(parameters, Mapping):
         return dict(parameters), []
-    every = isinstance(parameters, str) and parameters == "all"
-    names = all_names(system) if every else entries_of(parameters)
-    is_text = isinstance(parameters, str) and not every
+    takes_all = isinstance(parameters, str) and parameters == "all"
+    names = all_names(system) if takes_all else entries_of(parameters)
+    is_text = isinstance(parameters, str) and not takes_all
     if names is None or is_text or not all(isinstance(name, str) for name in names):
         raise InputError(
             "parameters must be {name: value}, a list of names, or 'all' for the robot's inertias "
@@ -443,11 +443,11 @@ class ModelParameters:
     def _refuse_in_loops(self) -> None:
         """Reject parameters that change the lengths of loops."""
         system = self._system
-        moved, links = {body + 1 for body in self.placed}, {*self.links}
+        moved_bodies, links = {body + 1 for body in self.placed}, {*self.links}
         for loop in (*system.loops, *system.contents.coupled_loops):
             ends = {loop.frame_a, loop.frame_b} if isinstance(loop, Loop) else set()
             fixed = loop in system.loops and not isinstance(loop, Loop)
-            if fixed or not (moving_joints(system, loop) & moved or ends & links):
+            if fixed or not (moving_joints(system, loop) & moved_bodies or ends & links):
                 continue
             names = listed([name for name in self.names if "." in name], 6)
             if loop in system.loops:

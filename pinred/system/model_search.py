@@ -56,9 +56,9 @@ def find_file(uri: str, file: Path, folders: Sequence[str]) -> Path | str:
     elif scheme == "":
         candidates = [Path(folder, location) for folder in (above[0], *named)]
     elif scheme in ("model", "package"):
-        first, _, rest = location.partition("/")
+        first, _, inside = location.partition("/")
         candidates = [Path(folder, location) for folder in (*named, *above)]
-        candidates += [Path(folder, rest) for folder in named if Path(folder).name == first]
+        candidates += [Path(folder, inside) for folder in named if Path(folder).name == first]
     else:
         return f"unknown scheme {quoted(scheme)}; use model://, package:// or file://"
     for candidate in candidates if location else ():

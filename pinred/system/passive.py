@@ -258,8 +258,8 @@ def passive_contents(
         damping, most = raw.damping[entries], raw.upperDryFrictionLimit[entries]
         least = raw.lowerDryFrictionLimit[entries]
         numbers = np.concatenate([damping, most, least])
-        own = [spring for spring in springs if spring.joint == name]
-        if name in locked or not (own or numbers.any()):
+        joint_springs = [spring for spring in springs if spring.joint == name]
+        if name in locked or not (joint_springs or numbers.any()):
             continue
         if not np.isfinite(numbers).all():
             raise ModelError(
@@ -268,7 +268,7 @@ def passive_contents(
         if name not in shape:
             base.append(name)
             continue
-        forces += own
+        forces += joint_springs
         for label, d, upper, lower in zip(
             rate_labels(name, joint.nv), damping, most, least, strict=True
         ):

@@ -209,27 +209,27 @@ class _Assembly:
                         f"link {quoted(key[1])}; write the name of a link of its model"
                     )
             tied.append((numbers[keys[0]], numbers[keys[1]]))
-        parts = _Parts(plant.num_bodies())
+        components = _Parts(plant.num_bodies())
         for a, b in [*pairs, *tied]:
             if _WORLD not in (a, b):
-                parts.join(a, b)
+                components.join(a, b)
         bodies: dict[int, list[int]] = {}
         for body in range(1, plant.num_bodies()):
-            bodies.setdefault(parts.of(body), []).append(body)
+            bodies.setdefault(components.of(body), []).append(body)
         joined: dict[int, list[Any]] = {}
         for joint, pair in zip(joints, pairs, strict=True):
-            joined.setdefault(parts.of(max(pair)), []).append(joint)
+            joined.setdefault(components.of(max(pair)), []).append(joint)
         self.robots = [
             _Robot(
                 tuple(group),
-                tuple(joined.get(part, [])),
+                tuple(joined.get(component, [])),
                 tuple(
                     constraint
                     for constraint, pair in zip(document.constraints, tied, strict=True)
-                    if parts.of(pair[0]) == part
+                    if components.of(pair[0]) == component
                 ),
             )
-            for part, group in bodies.items()
+            for component, group in bodies.items()
         ]
 
     def link(self, body: int) -> Key:
@@ -296,9 +296,9 @@ def _chosen(assembly: _Assembly, root: str | None) -> _Robot:
     models, bases = dict[str, set[int]](), dict[str, set[int]]()  # robots by name
     for number, robot in enumerate(robots):
         for body in robot.bodies:
-            parts = assembly.link(body)[0].split("::")
-            for k in range(len(parts)):
-                models.setdefault("::".join(parts[: k + 1]), set()).add(number)
+            scopes = assembly.link(body)[0].split("::")
+            for k in range(len(scopes)):
+                models.setdefault("::".join(scopes[: k + 1]), set()).add(number)
         for base in assembly.bases(robot):
             model, name = assembly.link(base)
             for label in (name, f"{model}::{name}"):
@@ -433,9 +433,9 @@ class _Tree:
             acts = coupled or any(axis.has_forces for axis in words.axes)
             return self._can_cut(joint), parents[_ends(joint)[1]] > 1, not acts
 
-        parts, kept, cut = _Parts(self._plant.num_bodies()), set[int](), list[Any]()
+        components, kept, cut = _Parts(self._plant.num_bodies()), set[int](), list[Any]()
         for joint in sorted(robot.joints, key=cost):
-            if parts.join(*_ends(joint)):
+            if components.join(*_ends(joint)):
                 kept.add(int(joint.index()))
             else:
                 cut.append(joint)
@@ -516,10 +516,10 @@ class _Tree:
             np.array([[axis.velocity for axis in numbers], [axis.effort for axis in numbers]])
         )
         if kind != "ball_rpy":
-            parts = _PARTS.get(kind, ("",) * nv)
+            suffixes = _PARTS.get(kind, ("",) * nv)
             self.springs += tuple(
-                Spring(f"{name}{part}", axis.stiffness, axis.rest)
-                for axis, part in zip(numbers, parts, strict=True)
+                Spring(f"{name}{suffix}", axis.stiffness, axis.rest)
+                for axis, suffix in zip(numbers, suffixes, strict=True)
                 if axis.stiffness
             )
         return index
@@ -651,13 +651,13 @@ class _Tree:
     def _part(self, joint: Any, axis: int, where: str) -> str:
         """Return the name of the coordinate of an axis of a joint."""
         name, kind = self._name(joint), joint.type_name()
-        parts = _PARTS.get(kind, ("",) if joint.num_velocities() == 1 else ())
-        if axis >= len(parts):
+        suffixes = _PARTS.get(kind, ("",) if joint.num_velocities() == 1 else ())
+        if axis >= len(suffixes):
             raise ModelError(
                 f"{where}: <mimic> of {quoted(name)}: axis {axis + 1} of a {kind} joint has no "
                 "coordinate of its own; use revolute or prismatic joints"
             )
-        return f"{name}{parts[axis]}"
+        return f"{name}{suffixes[axis]}"
 
     def left_out(self) -> tuple[LeftOut, ...]:
         """Return the actions that belong to the robot, by kind."""
@@ -671,19 +671,19 @@ class _Tree:
         weightless = [self.link_names[key] for key in keys & self._document.weightless]
         if weightless and not self.is_weightless():
             kinds["compensated gravity"] = sorted(weightless)
-        others = [
+        other_bodies = [
             "::".join(filter(None, self._assembly.link(body)))
             for robot in self._assembly.robots
             if robot is not self._robot and robot.can_move
             for body in robot.bodies[:1]
         ]
-        if others:
-            kinds["other bodies"] = others
-        found = [LeftOut(kind, tuple(names)) for kind, names in kinds.items()]
+        if other_bodies:
+            kinds["other bodies"] = other_bodies
+        left_out = [LeftOut(kind, tuple(names)) for kind, names in kinds.items()]
         colliding = [self.link_names[key] for key in self._document.colliding if key in keys]
         if colliding:
-            found.append(LeftOut(CONTACT, tuple(colliding), demanded=True))
-        return tuple(found)
+            left_out.append(LeftOut(CONTACT, tuple(colliding), demanded=True))
+        return tuple(left_out)
 
     def is_weightless(self) -> bool:
         """Return whether the file switches gravity off for all links."""
@@ -739,11 +739,11 @@ def _inertia(body: Any, added: float) -> pin.Inertia:
 
 def _warning(messages: list[str], fixed: list[str]) -> str:
     """Return a warning about what Drake ignores, and about bodies fixed to the world; or ""."""
-    parts = []
+    reasons = []
     if fixed:
-        parts.append(f"the file fixes {listed(fixed)} to the world, but here it is free")
+        reasons.append(f"the file fixes {listed(fixed)} to the world, but here it is free")
     ignored = list(dict.fromkeys(m.partition("warning: ")[2] or m for m in messages))
     if ignored:
         more = f" (and {len(ignored) - 1} more)" if len(ignored) > 1 else ""
-        parts.append(f"Drake reads the file with warnings: {ignored[0].strip()}{more}")
-    return "; ".join(parts)
+        reasons.append(f"Drake reads the file with warnings: {ignored[0].strip()}{more}")
+    return "; ".join(reasons)

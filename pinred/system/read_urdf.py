@@ -527,15 +527,15 @@ def _fixed_links(model: pin.Model, inertias: Mapping[str, pin.Inertia]) -> tuple
 
 def _add_rotors(root: ElementTree.Element, model: pin.Model) -> tuple[LeftOut, ...]:
     """Add armature to a model; return the armature that is left out."""
-    others = []
+    rotors = []
     for name, armature in rotor_inertias(root).items():
         joint = model.joints[model.getJointId(name)]
         if joint.nv == 1 or joint.shortname() == "JointModelSpherical":
             model.armature[joint.idx_v : joint.idx_v + joint.nv] = armature
         else:
-            others.append(name)
+            rotors.append(name)
     what = "armature of joints with several degrees of freedom"
-    return (LeftOut(what, tuple(others)),) if others else ()
+    return (LeftOut(what, tuple(rotors)),) if rotors else ()
 
 
 def with_deep_stack(parse: Callable[[], T], depth: int) -> T:
@@ -565,7 +565,9 @@ def _refuse_macros(path: Path, root: ElementTree.Element) -> None:
     """Reject a template that xacro must expand.  Raises LoadError with the command to run."""
     used = next((e.tag for e in root.iter() if e.tag.startswith("xacro:")), "")
     elements = [*root.iterfind("joint"), *root.iterfind("link/inertial")]
-    values = [value for top in elements for part in top.iter() for value in part.attrib.values()]
+    values = [
+        value for top in elements for element in top.iter() for value in element.attrib.values()
+    ]
     values += [link.get("name", "") for link in root.iterfind("link")]
     if used or any(mark in value for mark in ("${", "$(") for value in values):
         name = path.name.partition(".")[0] + ("" if path.suffix == ".xacro" else "_expanded")

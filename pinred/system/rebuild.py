@@ -461,18 +461,18 @@ class SplitModel:
         followers = {coupling.follower for coupling in self.couplings}
         values: dict[str, LockValue] = {}
         for name, value in lock.items():
-            parts = [part for part in self.parts.get(name, (name,)) if part not in followers]
-            if len(parts) > 1 and value != 0.0:
+            joint_parts = [part for part in self.parts.get(name, (name,)) if part not in followers]
+            if len(joint_parts) > 1 and value != 0.0:
                 raise InputError(
-                    f"lock: joint {quoted(name)} has {len(parts)} degrees of freedom and can only "
-                    f"be locked at zero; lock its parts instead: {listed(parts)}"
+                    f"lock: joint {quoted(name)} has {len(joint_parts)} degrees of freedom and can "
+                    f"only be locked at zero; lock its parts instead: {listed(joint_parts)}"
                 )
-            values |= dict.fromkeys(parts, value)
+            values |= dict.fromkeys(joint_parts, value)
         return values
 
     def whole(self, parts: Collection[str]) -> set[str]:
         """Return the joints, as named before the split, all of whose parts are among `parts`."""
-        return {n for n, own in self.parts.items() if {*own} <= {*parts}} | {*parts}
+        return {n for n, part_names in self.parts.items() if {*part_names} <= {*parts}} | {*parts}
 
 
 def split_joints(raw: pin.Model) -> SplitModel:
@@ -670,8 +670,8 @@ def _check_name(path: str, key: str, name: str, known: list[str], what: str) -> 
 
 def _joints_of(name: str, kind: str) -> list[NewJoint]:
     """Return the joints that replace a joint of the URDF."""
-    here = pin.SE3.Identity()
+    identity = pin.SE3.Identity()
     if kind == "SPHERICAL":
-        return [NewJoint(name, pin.JointModelSpherical(), here)]
+        return [NewJoint(name, pin.JointModelSpherical(), identity)]
     axes = "XY" if kind == "CARDAN" else kind[-2:]
-    return [NewJoint(f"{name}_{axis}", _HINGES[axis](), here) for axis in axes]
+    return [NewJoint(f"{name}_{axis}", _HINGES[axis](), identity) for axis in axes]

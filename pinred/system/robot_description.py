@@ -55,13 +55,13 @@ class DescribedBody:
 
 def inertia_matrix(value: ArrayLike, what: str) -> Array:
     """Return a symmetric inertia matrix, (3, 3)."""
-    given = as_floats(value, f"inertia of {what}")
-    if given.shape not in ((), (3,), (3, 3)):
+    entries = as_floats(value, f"inertia of {what}")
+    if entries.shape not in ((), (3,), (3, 3)):
         raise ShapeError(
             f"inertia of {what}: expected one number, three principal moments or a matrix (3, 3), "
-            f"got shape {given.shape}"
+            f"got shape {entries.shape}"
         )
-    matrix = given if given.ndim == 2 else np.diag(np.broadcast_to(given, 3))
+    matrix = entries if entries.ndim == 2 else np.diag(np.broadcast_to(entries, 3))
     if not np.isfinite(matrix).all() or not np.array_equal(matrix, matrix.T):
         raise InputError(f"inertia of {what} must be finite and symmetric, got {brief(value)}")
     return read_only(np.array(matrix))
@@ -76,11 +76,11 @@ def unit_axis(value: str | ArrayLike, what: str) -> Array:
                 f"axis of {what} must be x, y, z, -x, -y, -z or a vector, got {quoted(value)}"
             )
         return read_only(-_AXES[name] if value[0] == "-" else _AXES[name].copy())
-    given = vector(value, 3, f"axis of {what}")
-    length = float(np.linalg.norm(given))
+    direction = vector(value, 3, f"axis of {what}")
+    length = float(np.linalg.norm(direction))
     if length == 0.0:
         raise InputError(f"axis of {what} must not be zero")
-    return read_only(given / length)
+    return read_only(direction / length)
 
 
 def checked_mass(mass: float, inertia: Array, com: Array, joint: str, what: str) -> float:

@@ -454,12 +454,12 @@ def _add_lines(error: LoadError | ModelError, path: Path) -> None:
     except LoadError:
         return
     elements = list(root.iter())
-    equalities = [constraint for part in root.iterfind("equality") for constraint in part]
-    others = [element for element in elements if element not in equalities]
+    equalities = [constraint for section in root.iterfind("equality") for constraint in section]
+    other_elements = [element for element in elements if element not in equalities]
     is_whole = not any(element.tag in _COPIES for element in elements)
 
     def with_line(match: re.Match[str]) -> str:
-        named, kind = others, match[1].removeprefix("equality ")
+        named, kind = other_elements, match[1].removeprefix("equality ")
         tags = _TAGS.get(kind, (kind,))
         if kind != match[1]:
             named, tags = equalities, (kind,)

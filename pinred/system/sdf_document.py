@@ -217,9 +217,11 @@ class SdfDocument:
         names = [a or b for a, b in re.findall(r"\[([^\]]+)\]|'([^']+)'", message)]
         elements = [(p, e) for p in dict.fromkeys(self.paths) for e in read_xml(p).iter()]
         for name in names:
-            own = name.rpartition("::")[2]  # Drake scopes names, as "model::link".
-            using = [(path, e) for path, e in elements if own in e.attrib.values()]
-            named = [(path, e) for path, e in using if e.tag in _NAMED and e.get("name") == own]
+            local_name = name.rpartition("::")[2]  # Drake scopes names, as "model::link".
+            using = [(path, e) for path, e in elements if local_name in e.attrib.values()]
+            named = [
+                (path, e) for path, e in using if e.tag in _NAMED and e.get("name") == local_name
+            ]
             places = named or using
             if len(places) == 1 or (named and message.startswith("Non-unique")):
                 return f"{plain_path(places[-1][0])}, line {line_of(places[-1][1])}"
@@ -508,9 +510,9 @@ class _Reader:
         for shape in shapes:
             added = _element("collision", shape)
             added.set("name", shape.get("name", ""))
-            for part in shape:
-                if part.tag in sdf_words.SHAPE:
-                    added.append(_whole(part))
+            for child in shape:
+                if child.tag in sdf_words.SHAPE:
+                    added.append(_whole(child))
             for uri in added.iterfind("geometry/mesh/uri"):
                 path = self._find((uri.text or "").strip(), place)
                 if isinstance(path, str):
@@ -782,18 +784,18 @@ def _whole(element: Element) -> Element:
 
 def _text(root: Element) -> str:
     """Return an XML text whose elements have the lines of the file, for Drake's messages."""
-    parts, line = list[str](), 1
+    pieces, line = list[str](), 1
 
     def add(element: Element) -> None:
         nonlocal line
         if line_of(element) > line:
-            parts.append("\n" * (line_of(element) - line))
+            pieces.append("\n" * (line_of(element) - line))
             line = line_of(element)
         attributes = "".join(f" {key}={quoteattr(value)}" for key, value in element.items())
-        parts.append(f"<{element.tag}{attributes}>{escape(element.text or '')}")
+        pieces.append(f"<{element.tag}{attributes}>{escape(element.text or '')}")
         for child in element:
             add(child)
-        parts.append(f"</{element.tag}>")
+        pieces.append(f"</{element.tag}>")
 
     add(root)
-    return "".join(parts)
+    return "".join(pieces)

@@ -469,17 +469,17 @@ class ScaledInertia:
         self._model.gravity.setZero()
         self._data = self._model.createData()
         self._P, self._offset, self._bound = P, offset, bound
-        first, *others = joints
+        first, *following = joints
         self._lead = int(model.joints[first].nv)
-        widths = [int(model.joints[k].nv) for k in others]
-        names = [str(model.names[k]) for k in others]
+        widths = [int(model.joints[k].nv) for k in following]
+        names = [str(model.names[k]) for k in following]
         self._names = [
             name if width == 1 else f"{name}.{axis}"
             for name, width in zip(names, widths, strict=True)
             for axis in "xyz"[:width]
         ]
         self._entry_names = [str(model.names[first])] * self._lead + self._names
-        self._slides = np.repeat([is_prismatic(model.joints[k]) for k in others], widths) > 0
+        self._slides = np.repeat([is_prismatic(model.joints[k]) for k in following], widths) > 0
         self._hinges = ~self._slides & (np.repeat(widths, widths) == 1)
         behind = list(model.joints)[2:]
         self._balls = [joint for joint in behind if joint.nv == 3]
@@ -581,11 +581,11 @@ class ScaledInertia:
             return value, np.zeros(len(y))
         u, still = self._P @ (w / self._usual), np.zeros(self._model.nv)
         slope = pin.computeRNEADerivatives(self._model, self._data, q, still, u)[0]
-        along = u @ slope
+        slope_along = u @ slope
         for ball in self._balls:  # derivatives along the axes of a ball, by its rotation vector
             at = slice(ball.idx_v, ball.idx_v + 3)
-            along[at] = along[at] @ left_jacobian(-self._values(y)[at])
-        return value, np.asarray(along @ self._P[:, self._lead :])
+            slope_along[at] = slope_along[at] @ left_jacobian(-self._values(y)[at])
+        return value, np.asarray(slope_along @ self._P[:, self._lead :])
 
     def _least(self, y: Array) -> tuple[float, Array, Array]:
         """Return s(y), Pinocchio's q, and the minimising scaled motion w, (k,)."""

@@ -234,17 +234,17 @@ def _model_labels(system: System) -> dict[Axis, Sequence[str]]:
         pair = (joint.nq, joint.nv)
         if k == 0:
             turn = ("cos", "sin") if joint.nq == group.size + 1 else group.pose_names[-1:]
-            own: tuple[Sequence[str], Sequence[str]] = (
+            entries_of_pair: tuple[Sequence[str], Sequence[str]] = (
                 (*group.pose_names[:-1], *turn), group.velocity_names,
             )  # fmt: skip
             name = "base"
         elif joint.shortname() == "JointModelPlanar":
-            own = ("x", "y", "cos", "sin"), ("vx", "vy", "w")
+            entries_of_pair = ("x", "y", "cos", "sin"), ("vx", "vy", "w")
         elif pair in ((1, 1), *_JOINT_ENTRIES):
-            own = _JOINT_ENTRIES.get(pair, (("",), ("",)))
+            entries_of_pair = _JOINT_ENTRIES.get(pair, (("",), ("",)))
         else:
-            own = [str(i) for i in range(joint.nq)], [str(i) for i in range(joint.nv)]
-        for labels, entries in zip((q, v), own, strict=True):
+            entries_of_pair = [str(i) for i in range(joint.nq)], [str(i) for i in range(joint.nv)]
+        for labels, entries in zip((q, v), entries_of_pair, strict=True):
             labels += [f"{name}.{entry}" if entry else name for entry in entries]
     return {"nq": q, "nv": v}
 

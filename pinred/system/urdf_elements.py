@@ -263,13 +263,13 @@ def special_joints(robot: Element) -> dict[str, NewJoint]:
         ModelError: A screw has no pitch, or a number is not valid.
     """
     joints = {}
-    here = pin.SE3.Identity()
+    identity = pin.SE3.Identity()
     for joint in moving_joints(robot):
         name, kind = joint.get("name", "?"), joint.get("type")
         if kind == "spherical":
-            joints[name] = NewJoint(name, pin.JointModelSpherical(), here)
+            joints[name] = NewJoint(name, pin.JointModelSpherical(), identity)
         elif kind == "universal":
-            joints[name] = NewJoint(name, pin.JointModelUniversal(*np.eye(3)[:2]), here)
+            joints[name] = NewJoint(name, pin.JointModelUniversal(*np.eye(3)[:2]), identity)
         elif kind == "screw":
             element, owner = joint.find("drake:screw_thread_pitch"), f"screw joint {quoted(name)}"
             if element is None:
@@ -278,7 +278,7 @@ def special_joints(robot: Element) -> dict[str, NewJoint]:
                 )
             (pitch,) = floats(element, "value", f"the pitch of {owner}", 1)
             screw = pin.JointModelHelicalUnaligned(_unit_axis(joint), float(pitch) / (2.0 * np.pi))
-            joints[name] = NewJoint(name, screw, here)
+            joints[name] = NewJoint(name, screw, identity)
         elif kind == "planar" and (turn := rotation_to(_unit_axis(joint))) is not None:
             joints[name] = NewJoint(
                 name, pin.JointModelPlanar(), pin.SE3(turn, np.zeros(3)),
@@ -438,12 +438,12 @@ def file_springs(robot: Element) -> tuple[tuple[Spring, ...], tuple[LeftOut, ...
         if joint.get("type") not in _SINGLE:
             left_out.append(f"{name}{place(joint)}")
             continue
-        rest = _stated(dynamics, ("spring_reference", "spring_mount"), owner)
+        rest_lengths = _stated(dynamics, ("spring_reference", "spring_mount"), owner)
         for gazebo in extensions.get(name, []):
             if gazebo.find("springReference") is not None:
                 key = f"springReference of <gazebo>{place(gazebo)}"
-                rest[key] = _content(gazebo, "springReference", owner)
-        springs.append(Spring(name, k, _agreed(rest, owner) if rest else 0.0))
+                rest_lengths[key] = _content(gazebo, "springReference", owner)
+        springs.append(Spring(name, k, _agreed(rest_lengths, owner) if rest_lengths else 0.0))
     return tuple(springs), (LeftOut(SPRINGS, tuple(left_out)),) if left_out else ()
 
 
@@ -466,8 +466,8 @@ def _content(element: Element, tag: str, owner: str) -> float:
 
 def _agreed(stated: dict[str, float], owner: str) -> float:
     """Return the number that all sources state.  Raises ModelError if they differ."""
-    first, *others = stated.values()
-    if any(abs(value - first) > _SAME * max(abs(value), abs(first)) for value in others):
+    first, *further = stated.values()
+    if any(abs(value - first) > _SAME * max(abs(value), abs(first)) for value in further):
         words = " and ".join(f"{key} = {value:g}" for key, value in stated.items())
         raise ModelError(f"{owner} has {words} for one quantity; state it once")
     return first
@@ -500,8 +500,8 @@ def reduced_text(robot: Element, *, shapes: bool = False) -> str:
         dynamics = joint.find("dynamics")
         if dynamics is not None and kind not in _MANY:
             losses = {"damping": "0", "friction": "0"}  # The parser demands one of them.
-            given = {k: v for k, v in _trimmed(dynamics).items() if k in losses}
-            SubElement(target, "dynamics", losses | given)
+            stated = {k: v for k, v in _trimmed(dynamics).items() if k in losses}
+            SubElement(target, "dynamics", losses | stated)
     return ElementTree.tostring(copied, encoding="unicode")
 
 

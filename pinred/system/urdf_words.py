@@ -260,20 +260,20 @@ def entries() -> tuple[Entry, ...]:
     """Return the entries of the table, one for each element and each attribute."""
     table: dict[tuple[str, str], Entry] = {}
     for words in WORDS:
-        whole = words.path.endswith("/**")
+        is_tree = words.path.endswith("/**")
         for path in _paths(words.path.removesuffix("/**")):
             # An element that the table names again for its attributes keeps its first row.
             for attribute in ("", *words.attributes.split()):
-                entry = Entry(path, attribute, words, whole and not attribute)
+                entry = Entry(path, attribute, words, is_tree and not attribute)
                 table.setdefault((path, attribute), entry)
     return tuple(table.values())
 
 
 def _paths(pattern: str) -> Iterator[str]:
     """Yield the paths of a pattern with alternatives."""
-    first, slash, rest = pattern.partition("/")
+    first, slash, below = pattern.partition("/")
     for tag in first.split("|"):
-        for inner in _paths(rest) if slash else [""]:
+        for inner in _paths(below) if slash else [""]:
             yield f"{tag}/{inner}" if inner else tag
 
 
@@ -288,8 +288,8 @@ def _index() -> tuple[dict[tuple[str, str], Entry], tuple[Entry, ...]]:
 def _entry(path: str, attribute: str = "") -> Entry | None:
     """Return the entry of an element or attribute; None if it is not in the table."""
     exact, patterns = _index()
-    found = exact.get((path, attribute))
-    if found is None:
+    match = exact.get((path, attribute))
+    if match is None:
         alike = (
             entry
             for entry in patterns
@@ -298,8 +298,8 @@ def _entry(path: str, attribute: str = "") -> Entry | None:
             and bool(attribute) == bool(entry.attribute)
             and fnmatchcase(attribute, entry.attribute)
         )
-        found = next(alike, None)
-    return found
+        match = next(alike, None)
+    return match
 
 
 def version_of(robot: Element) -> int:

@@ -438,11 +438,11 @@ class _Follower:
     def follow_all(self) -> None:
         """Follow the queued curves and the curves that branch off them."""
         while self._starts and len(self._curves) < _MAX_CURVES:
-            point, J, along = self._starts.pop(0)
+            point, J, tangent = self._starts.pop(0)
             if self._is_on_curve(point, J):
                 continue
-            first = self._curve.start(point, J, along)
-            detect = along is not None or second_variation(self._energy, point, J).dimension == 0
+            first = self._curve.start(point, J, tangent)
+            detect = tangent is not None or second_variation(self._energy, point, J).dimension == 0
             number = len(self._curves)
             self._curves.append([first])
             halves = [self._walk(first, sign, number, detect) for sign in (1.0, -1.0)]

@@ -79,13 +79,13 @@ def in_link_frame(tensor: Array, centre: ArrayLike, axis: ArrayLike, sizes: str)
     turn = pin.Quaternion.FromTwoVectors(np.array([1.0, 0.0, 0.0]), d / np.linalg.norm(d))
     X = pin.SE3(turn.toRotationMatrix(), c).inverse().toActionMatrix()
     with np.errstate(all="ignore"):
-        moved = np.asarray(X.T @ tensor @ X)
-    if not np.isfinite(moved).all():
+        at_link = np.asarray(X.T @ tensor @ X)
+    if not np.isfinite(at_link).all():
         raise InputError(
             f"{sizes}: expected values whose tensor is finite, got one with {tensor.max():g}. "
             "Use other units"
         )
-    return moved
+    return at_link
 
 
 def viscous_form(system: System, drag: Mapping[str, Rod | ArrayLike]) -> ConnectionForm:

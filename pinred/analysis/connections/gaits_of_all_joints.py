@@ -73,8 +73,8 @@ class AllJointsCode(ConnectionCode):
         x, xdot = rows(x, self.form.nx, "x"), rows(xdot, self.form.m, "xdot")
         shapes, rates = np.empty_like(x), np.empty_like(xdot)
         for start in range(0, len(x), _CHUNK):
-            part = slice(start, start + _CHUNK)
-            shapes[part], rates[part] = self._nearest(x[part], xdot[part])
+            chunk = slice(start, start + _CHUNK)
+            shapes[chunk], rates[chunk] = self._nearest(x[chunk], xdot[chunk])
         return shapes, rates
 
     def _nearest(self, x: Array, xdot: Array) -> tuple[Array, Array]:

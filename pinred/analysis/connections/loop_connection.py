@@ -107,15 +107,15 @@ class ClosedPath:
             rates: Rates of all joints ẋ = G u̇, (N, m).
         """
         chart, (count, m, d) = self.chart, G.shape
-        turned = np.zeros((count, m, d))
+        rotated = np.zeros((count, m, d))
         if not count:
-            return turned
+            return rotated
         columns = np.swapaxes(G, 1, 2).reshape(-1, m)
         inputs = (np.repeat(shapes, d, axis=0).T, columns.T, np.repeat(rates, d, axis=0).T)
         bends = np.array(self._bend(*inputs)).T.reshape(count, d, -1)
         J_D = self._jacobians(shapes)[:, :, chart.dependent]
-        turned[:, chart.dependent] = -np.linalg.solve(J_D, np.swapaxes(bends, 1, 2))
-        return turned
+        rotated[:, chart.dependent] = -np.linalg.solve(J_D, np.swapaxes(bends, 1, 2))
+        return rotated
 
     def accelerations(
         self, shapes: Array, G: Array, rates: Array, uddot: Array
@@ -143,8 +143,8 @@ class ClosedPath:
             np.swapaxes(np.array(block).T.reshape(count, m, -1), 1, 2)
             for block in self._functions[2].map(count)(*inputs)
         )
-        turned = self.turned(shapes, G, rates)
-        right = np.concatenate([by_shape @ G + by_rate @ turned, by_rate @ G], axis=-1)
+        rotated = self.turned(shapes, G, rates)
+        right = np.concatenate([by_shape @ G + by_rate @ rotated, by_rate @ G], axis=-1)
         slopes[:, chart.dependent, : 2 * d] = -np.linalg.solve(J_D, right)
         slopes[:, :, 2 * d :] = G
         return acceleration, slopes
@@ -264,8 +264,8 @@ class LoopConnectionCode(ConnectionCode):
         rates = np.einsum("nma,na->nm", G, xdot)
         slopes, m = self.tree.velocity_slopes(shapes, rates), self.tree.form.m
         by_rate = slopes[:, :, m:] @ G
-        turned = self._path.turned(shapes, G, rates)
-        by_shape = slopes[:, :, :m] @ G + slopes[:, :, m:] @ turned
+        rotated = self._path.turned(shapes, G, rates)
+        by_shape = slopes[:, :, :m] @ G + slopes[:, :, m:] @ rotated
         return np.concatenate([by_shape, by_rate], axis=-1)
 
     def covariant_forces(
@@ -278,10 +278,10 @@ class LoopConnectionCode(ConnectionCode):
         force, slope = self.tree.covariant_forces(shapes, rates, acceleration, weights)
         m, d = self.tree.form.m, self.form.m
         by_shape, by_rate, by_acceleration = (slope[:, k * m : (k + 1) * m] for k in range(3))
-        turned, weighed = (self._path.turned(shapes, G, value) for value in (rates, weights))
+        rotated, weighed = (self._path.turned(shapes, G, value) for value in (rates, weights))
         gradient = np.einsum("nm,nmc->nc", by_acceleration, bent)
         gradient[:, :d] += np.einsum("nm,nmc->nc", by_shape, G)
-        gradient[:, :d] += np.einsum("nm,nmc->nc", by_rate, turned)
+        gradient[:, :d] += np.einsum("nm,nmc->nc", by_rate, rotated)
         gradient[:, :d] += np.einsum("nm,nmc->nc", force, weighed)
         gradient[:, d : 2 * d] += np.einsum("nm,nmc->nc", by_rate, G)
         return np.einsum("nma,nm->na", G, force), gradient
@@ -507,7 +507,7 @@ class LoopReduction:
         dG = np.stack([chart.tangent_rate(tree.x, column, G) for column in G.T], axis=-1)
         A, M = tree.local_connection, tree.reduced_metric
         dM = np.einsum("mnp,ma,nb,pc->abc", tree.dM, G, G, G)
-        turned = np.einsum("mac,mn,nb->abc", dG, M, G)
+        by_basis = np.einsum("mac,mn,nb->abc", dG, M, G)
         return ClosedShape(
             x=tree.x,
             independent=chart.names,
@@ -520,7 +520,7 @@ class LoopReduction:
             dG=dG,
             dI=tree.dI @ G,
             dA=np.einsum("imp,ma,pc->iac", tree.dA, G, G) + np.einsum("im,mac->iac", A, dG),
-            dM=dM + turned + turned.transpose(1, 0, 2),
+            dM=dM + by_basis + by_basis.transpose(1, 0, 2),
             tree=tree,
         )
 

@@ -193,16 +193,16 @@ class MixedConnection:
             return weights * form.reference(system.space.integrate(at.x, s * xdot)) * units
 
         G, rates = rows(0.0), xdot / at.steps
-        given = np.append(np.zeros(k), at.weights[k:] * p) - G[:, r:] @ rates
-        v = np.append(np.linalg.solve(G[:, :r], given), rates)
+        load = np.append(np.zeros(k), at.weights[k:] * p) - G[:, r:] @ rates
+        v = np.append(np.linalg.solve(G[:, :r], load), rates)
         still, q = system.sorted_model.copy(), system.sorted_q(system.group.identity(), at.x)
         still.gravity.setZero()
         full = system.joint_rates(units * v)
         bias = units * system.on_shape(pin.nonLinearEffects(still, still.createData(), q, full))
         (drift,) = central_differences(lambda s: rows(s[0])[:k] @ v, np.zeros(1), _STEP).T
-        whole = np.block([[H, -G[:k].T], [G[:k], np.zeros((k, k))]])
+        matrix = np.block([[H, -G[:k].T], [G[:k], np.zeros((k, k))]])
         forces = np.append(tau - bias, -drift)
-        solution = np.linalg.solve(whole, forces)
+        solution = np.linalg.solve(matrix, forces)
         a = solution[:n]
         (pdot,) = central_differences(
             lambda s: rows(s[0])[k:] @ (v + s[0] * a), np.zeros(1), _STEP
@@ -210,9 +210,9 @@ class MixedConnection:
         energy = 0.5 * v @ H @ v
         state = np.concatenate([at.x, xdot, p])
         values = evaluate(native.address, tau[r:] / at.steps, state[None], size)[0]
-        inverse = np.abs(np.linalg.inv(whole))
-        terms = inverse @ (np.abs(whole) @ np.abs(solution) + np.abs(forces))
-        speeds = np.abs(np.linalg.inv(G[:, :r])) @ (np.abs(given) + np.abs(G[:, r:]) @ abs(rates))
+        inverse = np.abs(np.linalg.inv(matrix))
+        terms = inverse @ (np.abs(matrix) @ np.abs(solution) + np.abs(forces))
+        speeds = np.abs(np.linalg.inv(G[:, :r])) @ (np.abs(load) + np.abs(G[:, r:]) @ abs(rates))
         momenta_rates = np.abs(G[k:]) @ (terms[:n] + np.abs(v).sum() * np.abs(v))
         ends = np.cumsum([1, r, self.size, system.m, 1])
         scales = np.concatenate([[1.0], at.twists, 1.0 / at.weights[k:], at.steps, [1.0]])
@@ -227,9 +227,9 @@ class MixedConnection:
             checks, ends[:-1], ends[1:], strict=True
         ):
             if last <= size:  # `driven` has only the first outputs
-                found = relative[first:last]
+                computed = relative[first:last]
                 require_agreement(
-                    f"the machine code of {form.what}", what, found, expected, terms, tolerance
+                    f"the machine code of {form.what}", what, computed, expected, terms, tolerance
                 )
 
     def _motion_terms(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:

@@ -200,7 +200,7 @@ class AmendedEnergy:
             Hs[:, :ma, :ma] -= np.einsum("ni,niab->nab", pull, d2com)
             scale += np.linalg.norm(weight) * np.linalg.norm(d.com, axis=1)
         if self.problem.forces is not None:
-            V, V1, V2 = (np.array(part) for part in self._springs(x.T))
+            V, V1, V2 = (np.array(term) for term in self._springs(x.T))
             m = self.problem.system.m
             U += V[0]
             g[:, :ma] += V1.T[:, a]
@@ -217,12 +217,12 @@ class AmendedEnergy:
         if not space.balls:
             V = forces.potential_function(x, ca.DM(forces.numbers))
             H, g = ca.hessian(V, x)
-            return ca.Function("springs", [x], [ca.densify(part) for part in (V, g, H)])
+            return ca.Function("springs", [x], [ca.densify(term) for term in (V, g, H)])
         w = ca.SX.sym("w", space.m)
         V = forces.potential_function(displaced_shape(space, x, w), ca.DM(forces.numbers))
-        parts = [V, *ca.hessian(V, w)[::-1]]
-        at_x = [ca.substitute(part, w, ca.SX.zeros(space.m)) for part in parts]
-        return ca.Function("springs", [x], [ca.densify(part) for part in at_x])
+        derivatives = [V, *ca.hessian(V, w)[::-1]]
+        at_x = [ca.substitute(term, w, ca.SX.zeros(space.m)) for term in derivatives]
+        return ca.Function("springs", [x], [ca.densify(term) for term in at_x])
 
     def _on_sphere(self, points: Points, e: Energies) -> Energies:
         """Project derivatives with respect to n onto the tangent plane of the sphere."""
@@ -236,7 +236,7 @@ class AmendedEnergy:
         hessian = Bt @ e.hessian @ B
         radial = np.einsum("ni,ni->n", e.gradient[:, ma:], points.n)
         hessian[:, ma:, ma:] -= radial[:, None, None] * np.eye(2)
-        g, gJ = ((Bt @ part[..., None])[..., 0] for part in (e.gradient, e.by_momentum))
+        g, gJ = ((Bt @ gradient[..., None])[..., 0] for gradient in (e.gradient, e.by_momentum))
         return self._on_loops(points, Energies(e.U, g, hessian, e.rates, gJ, e.scale))
 
     def _on_loops(self, points: Points, e: Energies) -> Energies:
@@ -244,21 +244,21 @@ class AmendedEnergy:
         surface = points.surface
         if surface is None:
             return e
-        ma, rest = points.dimension, 2 * self.problem.directional
+        ma, momentum_size = points.dimension, 2 * self.problem.directional
         tangents, is_regular = surface.tangents(points.x)
-        B = np.zeros((len(points), ma + rest, tangents.shape[2] + rest))
+        B = np.zeros((len(points), ma + momentum_size, tangents.shape[2] + momentum_size))
         B[:, :ma, : tangents.shape[2]] = tangents
-        B[:, ma:, tangents.shape[2] :] = np.eye(rest)
+        B[:, ma:, tangents.shape[2] :] = np.eye(momentum_size)
         hessian, Bt = e.hessian.copy(), np.swapaxes(B, 1, 2)
         hessian[:, :ma, :ma] -= surface.curvature(points.x, e.gradient[:, :ma])
         hessian[~is_regular] = np.nan  # so that no shape where equations depend is critical
-        g, gJ = ((Bt @ part[..., None])[..., 0] for part in (e.gradient, e.by_momentum))
+        g, gJ = ((Bt @ gradient[..., None])[..., 0] for gradient in (e.gradient, e.by_momentum))
         return Energies(e.U, g, Bt @ hessian @ B, e.rates, gJ, e.scale)
 
 
 def _symmetrised(d: InertiaDerivatives) -> InertiaDerivatives:
     """Return the derivatives with the symmetric part of the second ones."""
-    halves = [0.5 * (part + np.swapaxes(part, -1, -2)) for part in (d.d2H, d.d2com)]
+    halves = [0.5 * (second + np.swapaxes(second, -1, -2)) for second in (d.d2H, d.d2com)]
     return replace(d, d2H=halves[0], d2com=halves[1])
 
 

@@ -73,8 +73,8 @@ class DistinctPoints:
     @property
     def entries(self) -> Points:
         """One point of each distinct equilibrium: the image with the smallest angles."""
-        parts = [self._representatives(orbit) for orbit in self.orbits]
-        return joined(parts) if parts else self._none()
+        points = [self._representatives(orbit) for orbit in self.orbits]
+        return joined(points) if points else self._none()
 
     def representatives(self, numbers: list[int]) -> Points:
         """Return one point of each given orbit.
@@ -109,14 +109,14 @@ class DistinctPoints:
         # For a regular point, the Newton step bounds the distance from the root.
         is_root = flat | (np.linalg.norm(newton_step(e, absolute=False), axis=1) <= _SAME)
         points = self._snapped(self._tidy(points), flat)
-        known = len(self.orbits)
+        previous = len(self.orbits)
         new: list[int] = []
         for k in np.flatnonzero(is_root).tolist():
             number = self._number(
                 points[k : k + 1], some(e, [k]), int(flat_counts[k]), int(index[k])
             )
             self.orbits[number].hits += is_random
-            if number >= known + len(new):
+            if number >= previous + len(new):
                 new.append(number)
         return new
 
@@ -153,9 +153,9 @@ class DistinctPoints:
     def _number(self, point: Points, e: Energies, flat_count: int, index: int) -> int:
         """Return the number of a point's orbit, which is new if no known orbit contains it."""
         flat = flat_count > 0
-        here = embedded(point, self.angles)
+        coordinates = embedded(point, self.angles)
         if len(self._owners):
-            distance = np.abs(self._coordinates - here).max(axis=1, initial=0.0)
+            distance = np.abs(self._coordinates - coordinates).max(axis=1, initial=0.0)
             for k in np.flatnonzero(distance <= (_SAME_FLAT if flat else _SAME)).tolist():
                 orbit = self.orbits[self._owners[k]]
                 is_same_flat = orbit.is_flat == flat or distance[k] <= _SAME
@@ -200,9 +200,9 @@ class DistinctPoints:
         return joined(images), entry
 
     def _contains(self, points: list[Points], point: Points, within: float = _SAME) -> bool:
-        here = embedded(point, self.angles)
+        coordinates = embedded(point, self.angles)
         return any(
-            float(np.abs(embedded(other, self.angles) - here).max(initial=0.0)) <= within
+            float(np.abs(embedded(other, self.angles) - coordinates).max(initial=0.0)) <= within
             for other in points
         )
 

@@ -108,9 +108,9 @@ class Problem(FrozenArrays):
         """Closed shapes of the active joints; None without loops."""
         if not self.system.loops:
             return None
-        rest = self.shapes(self.space.neutral[None])[0]
+        neutral = self.shapes(self.space.neutral[None])[0]
         active = np.array(self.active, dtype=np.intp)
-        return LoopSurface(self.system, self.space, active, self.active_x, rest)
+        return LoopSurface(self.system, self.space, active, self.active_x, neutral)
 
     @cached_property
     def active_x(self) -> list[int]:

@@ -220,7 +220,7 @@ def walks_from(
     """
     values, vectors = np.linalg.eigh(e.hessian)
     index = (values < 0.0).sum(axis=1)
-    starts, wanted = [], []
+    starts, aims = [], []
     for j in range(values.shape[1]):
         ahead = points.moved(_AWAY * vectors[:, :, j])
         behind = points.moved(-_AWAY * vectors[:, :, j])
@@ -230,8 +230,8 @@ def walks_from(
             is_image |= np.abs(difference).max(axis=1, initial=0.0) <= _SAME
         starts += [ahead, behind[~is_image]]
         aim = index + np.where(values[:, j] < 0.0, -1, 1)
-        wanted += [aim, aim[~is_image]]
-    return joined(starts), np.concatenate(wanted).astype(np.intp)
+        aims += [aim, aim[~is_image]]
+    return joined(starts), np.concatenate(aims).astype(np.intp)
 
 
 def walk(
@@ -377,7 +377,7 @@ class Search:
         hits = np.concatenate(
             [np.full(orbit.entries, orbit.hits) for orbit in orbits] or [np.zeros(0)]
         )
-        seen = [int((hits == k).sum()) for k in range(3)]
+        counts = [int((hits == k).sum()) for k in range(3)]
         pending = sum(orbits[k].entries for k in self._pending)
         reason = self.reason
         if self.sum is None and not reason:
@@ -387,9 +387,9 @@ class Search:
             families=sum(orbit.dimension > 0 for orbit in orbits),
             starts=self.starts,
             converged=self.converged,
-            seen_once=seen[1],
-            seen_twice=seen[2],
-            not_seen=seen[0],
+            seen_once=counts[1],
+            seen_twice=counts[2],
+            not_seen=counts[0],
             pending=pending,
             morse_sum=None if self.expected is None else self.sum,
             expected=None if self.sum is None else self.expected,
@@ -438,8 +438,8 @@ class Search:
             numbers, self._pending = self._pending[:batch], self._pending[batch:]
             base = self.found.representatives(numbers)
             e = self._energy(base, self._J)
-            starts, wanted = walks_from(base, e, self.found.symmetries, self.found.angles)
-            result = walk(self._energy, starts, wanted, self._J)
+            starts, aims = walks_from(base, e, self.found.symmetries, self.found.angles)
+            result = walk(self._energy, starts, aims, self._J)
             self._add(starts, result, is_random=False)
         return morse_sum(self._energy, self.found, self._J)
 

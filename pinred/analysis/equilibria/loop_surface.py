@@ -114,12 +114,12 @@ class LoopSurface:
         Returns:
             Coordinates, (N, k); x where the loops do not close after the step.
         """
-        along = (self.tangents(x)[0] @ step[..., None])[..., 0]
+        direction = (self.tangents(x)[0] @ step[..., None])[..., 0]
         result, waiting = x.copy(), np.arange(len(x))
         for fraction in _SHORTER:
             if not len(waiting):
                 break
-            start = self.space.integrate(x[waiting], fraction * along[waiting])
+            start = self.space.integrate(x[waiting], fraction * direction[waiting])
             closed, is_closed = self.closed(start)
             result[waiting[is_closed]] = closed[is_closed]
             waiting = waiting[~is_closed]
@@ -184,7 +184,7 @@ class LoopSurface:
         count = len(x)
         if not count:
             return np.empty((0, self.rank)), np.empty((0, self.rank, self.space.m))
-        phi, J = (np.array(part) for part in self._first(self._shapes(x).T))
+        phi, J = (np.array(value) for value in self._first(self._shapes(x).T))
         return phi.T, np.swapaxes(J.T.reshape(count, self.space.m, self.rank), 1, 2)
 
     @property
@@ -213,8 +213,8 @@ class LoopSurface:
         J = ca.jacobian(phi, w)[:, self.active.tolist()]
         H = ca.hessian(ca.dot(phi, multipliers), w)[0]
         H = H[self.active.tolist(), self.active.tolist()]
-        at_zero = [ca.substitute(part, w, ca.SX.zeros(system.m)) for part in (phi, J, H)]
-        phi, J, H = (ca.densify(part) for part in at_zero)
+        at_zero = [ca.substitute(term, w, ca.SX.zeros(system.m)) for term in (phi, J, H)]
+        phi, J, H = (ca.densify(term) for term in at_zero)
         options = {"cse": True}
         self._functions["first"] = ca.Function("first", [x], [phi, ca.vec(J)], options)
         self._functions["second"] = ca.Function("second", [x, multipliers], [ca.vec(H)], options)

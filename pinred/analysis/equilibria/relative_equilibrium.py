@@ -99,13 +99,13 @@ class Census:
         return text
 
     def __str__(self) -> str:
-        seen = f"{self.seen_once} seen once, {self.seen_twice} twice"
-        seen += f", estimated unseen {self.unseen} (Chao's estimator, a weak lower bound)"
+        counts = f"{self.seen_once} seen once, {self.seen_twice} twice"
+        counts += f", estimated unseen {self.unseen} (Chao's estimator, a weak lower bound)"
         if self.agrees is None:
-            return f"{seen}\n{self.caveat}"
+            return f"{counts}\n{self.caveat}"
         verb = "agrees with" if self.agrees else "differs from"
         text = f"Morse sum {self.morse_sum} {verb} the Euler characteristic {self.expected}"
-        return f"{text}; {seen}\n{self.caveat}"
+        return f"{text}; {counts}\n{self.caveat}"
 
 
 @checks_arguments

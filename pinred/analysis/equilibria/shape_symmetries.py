@@ -337,9 +337,9 @@ class _Masses:
             images[j] = pin.SE3(attitude, parent.translation)
             if not self._agrees(images[j], j, targets[i]):
                 continue
-            left = parent.rotation.T @ attitude @ Q.T @ R.T
-            left, right = (quaternion_from_matrix(proper * factor) for factor in (left, Q))
-            by_ball[target.name] = (source.name, left, right)
+            before = parent.rotation.T @ attitude @ Q.T @ R.T
+            before, right = (quaternion_from_matrix(proper * factor) for factor in (before, Q))
+            by_ball[target.name] = (source.name, before, right)
             yield from self._extended(i + 1, x, order, targets, images, state)
         by_ball.pop(target.name, None)
 
@@ -380,5 +380,7 @@ class _Masses:
         if mass == 0.0:
             return True
         far = float(np.abs(centre - target[1]).max()) > _SAME * self._size
-        turned = float(np.abs(T - target[2]).max()) > _SAME * max(float(np.abs(T).max()), 1e-300)
-        return not (far or turned)
+        is_rotated = float(np.abs(T - target[2]).max()) > _SAME * max(
+            float(np.abs(T).max()), 1e-300
+        )
+        return not (far or is_rotated)

@@ -340,10 +340,10 @@ class Gait:
         which = np.clip(np.searchsorted(self.breaks, flat, side="right") - 1, 0, len(self.arcs) - 1)
         x, xdot = np.empty((2, len(flat), self.m))
         for k, arc in enumerate(self.arcs):
-            own = which == k
-            if own.any():
-                x[own], slope = arc.at((flat[own] - self.breaks[k]) / arc.time)
-                xdot[own] = slope / arc.time
+            in_arc = which == k
+            if in_arc.any():
+                x[in_arc], slope = arc.at((flat[in_arc] - self.breaks[k]) / arc.time)
+                xdot[in_arc] = slope / arc.time
         x += np.multiply.outer(cycles, self.rise)
         return x.reshape(*times.shape, self.m), xdot.reshape(*times.shape, self.m)
 

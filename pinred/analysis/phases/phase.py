@@ -141,8 +141,8 @@ def _open_joint(connection: Connection, gait: Gait) -> str:
     for k in np.flatnonzero(rise).tolist():
         # Joints of a closed loop may turn together although none of them can turn alone.
         alone = TAU * np.eye(connection.m)[k]
-        turned = x + (rise if is_closed_loop else alone)
-        change = float(np.abs(connection.code.velocities(turned, xdot).xi - xi).max(initial=0.0))
+        shapes = x + (rise if is_closed_loop else alone)
+        change = float(np.abs(connection.code.velocities(shapes, xdot).xi - xi).max(initial=0.0))
         if connection.form.units[k] != "rad" or not change <= _REPEATS * size:
             return connection.joints[k]
     return ""
@@ -244,8 +244,8 @@ class Phase(Summary, FrozenArrays):
             Times, (N + 1,) [s], and poses, (N + 1, size), with N at least `count`; all entries of
             `times` are among the times.
         """
-        parts = -(-whole(count, "count", 1) // len(self._segments.h))
-        segments = _subdivided(self._segments, parts)
+        subdivisions = -(-whole(count, "count", 1) // len(self._segments.h))
+        segments = _subdivided(self._segments, subdivisions)
         times = np.concatenate([[0.0], np.cumsum(segments.h)])
         return times, lift(self.group, segments, self.momentum)
 

@@ -50,8 +50,8 @@ def tangents_through_stops(
     last = propagator.parts_of(run)[-1]
     motion = run.trajectory.motion
     assert isinstance(motion, StoppedMotion)
-    if rest := motion.phases[-1].mode.rest:
-        names = [bound.joint for bound in rest]
+    if resting := motion.phases[-1].mode.rest:
+        names = [bound.joint for bound in resting]
         raise InputError(
             f"period: {listed(names, 8)} of '{scene.system.name}' rests at its stop after "
             f"{period:g} s. Simulate from a state in which no joint is at its stop"
@@ -68,9 +68,9 @@ def tangents_through_stops(
     head = np.zeros((layout.gravity_at, Y.shape[1]))
     head[momenta] = Y[n:]
     count = layout.parameters - layout.gravity_at + len(run.stops)
-    parts = head, np.zeros((count, Y.shape[1]))
+    heads = head, np.zeros((count, Y.shape[1]))
     path = np.zeros((len(flow.path), Y.shape[1]))
-    y_end, head_end, _ = propagator.tangents(run, (), Y[:n], *parts, path)
+    y_end, head_end, _ = propagator.tangents(run, (), Y[:n], *heads, path)
     leaf = replace(leaf, indices=np.concatenate([leaf.indices, added]))
 
     def at(y: Array, parameters: Array, tangents: Array) -> LinearisedFlow:

@@ -78,8 +78,8 @@ def linearised(flow: CompiledFlow, y: Array) -> Linearisation:
         matrix = jacobian_of(flow.kernel, at, flow.parameters)[np.ix_(indices, indices)]
         matrix = np.linalg.solve(shear, matrix @ shear)
     on_leaf = leaf.restrict(matrix)
-    values, left, right = eigen(on_leaf)
-    error = eigenvalue_errors(left, right, _ROUND_OFF * np.finfo(float).eps * norm(on_leaf))
+    values, left_vectors, right = eigen(on_leaf)
+    error = eigenvalue_errors(left_vectors, right, _ROUND_OFF * np.finfo(float).eps * norm(on_leaf))
     return Linearisation(y[indices], leaf.names, matrix, values, leaf.embed(right), error, leaf)
 
 
@@ -107,9 +107,9 @@ def eigen(matrix: Array) -> tuple[NDArray[np.complex128], ...]:
     if not matrix.size:
         empty = np.zeros((0, 0), dtype=complex)
         return np.zeros(0, dtype=complex), empty, empty
-    values, left, right = eig(matrix, left=True, right=True)
+    values, left_vectors, right = eig(matrix, left=True, right=True)
     order = np.lexsort((-values.imag, np.abs(values.imag), -np.round(values.real, 12)))
-    return values[order], left[:, order], right[:, order]
+    return values[order], left_vectors[:, order], right[:, order]
 
 
 def eigenvalue_errors(

@@ -139,10 +139,10 @@ def loop_gauge(
     for (_, v), entries in zip(layout.balls, quaternions, strict=True):
         block = np.zeros((3, len(z)))
         block[:, entries] = 4.0 * BALL.rate_map(z[entries]).T
-        own = [k for k in range(v, v + 3) if k in layout.ball_pi]
-        rates += own
-        momenta += [2 * active + layout.ball_pi.index(k) for k in own]
-        displacements.append(block[[k - v for k in own]])
+        pi_rates = [k for k in range(v, v + 3) if k in layout.ball_pi]
+        rates += pi_rates
+        momenta += [2 * active + layout.ball_pi.index(k) for k in pi_rates]
+        displacements.append(block[[k - v for k in pi_rates]])
     return LoopGauge(
         system, np.array(rates, dtype=np.intp), np.array(momenta, dtype=np.intp),
         np.concatenate(displacements),

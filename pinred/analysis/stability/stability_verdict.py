@@ -92,8 +92,8 @@ def assess_stability(
     """
     leaf, entries = linear.leaf, _shape_entries(linear, layout)
     on_leaf = leaf.restrict(linear.matrix)
-    values, left, right = eigen(on_leaf)
-    errors = eigenvalue_errors(left, right, _ROUND_OFF * norm(on_leaf))
+    values, left_vectors, right = eigen(on_leaf)
+    errors = eigenvalue_errors(left_vectors, right, _ROUND_OFF * norm(on_leaf))
     is_transverse = np.ones(len(values), dtype=bool)
     if second.dimension:
         # Each direction of the family adds a double eigenvalue at zero.  If its symmetries do not
@@ -101,7 +101,7 @@ def assess_stability(
         nearest = np.argsort(np.abs(values))[: 2 * second.dimension]
         is_transverse[nearest] = np.abs(values[nearest]) > _NEAR_ZERO * norm(on_leaf)
     values, errors = values[is_transverse], errors[is_transverse]
-    left, right = left[:, is_transverse], right[:, is_transverse]
+    left_vectors, right = left_vectors[:, is_transverse], right[:, is_transverse]
     growths = values.real
     is_significant = growths > _SIGNIFICANT * errors
     unstable, top = bool(is_significant.any()), None
@@ -126,7 +126,7 @@ def assess_stability(
         dimension=second.dimension,
         growing=int((is_significant & (values.imag == 0.0)).sum()),
         damped_growth=(
-            _damped_growth(linear, values, left, right, entries, space.names)
+            _damped_growth(linear, values, left_vectors, right, entries, space.names)
             if verdict == "undecided"
             else {}
         ),

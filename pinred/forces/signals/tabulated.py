@@ -110,8 +110,8 @@ class Table(Signal):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The distinct Parameters among the values."""
-        given: dict[int, Parameter] = vars(self)["_given"]
-        return tuple(dict.fromkeys(given.values()))
+        parameters: dict[int, Parameter] = vars(self)["_given"]
+        return tuple(dict.fromkeys(parameters.values()))
 
     @property
     def width(self) -> int:
@@ -138,14 +138,14 @@ class Table(Signal):
                 f"{max(_MOST_WEIGHTS // coefficients.size - 2, 1)} Parameters among its values, "
                 f"got {len(self.parameters)}. Use a shorter table"
             )
-        given: dict[int, Parameter] = vars(self)["_given"]
+        parameters: dict[int, Parameter] = vars(self)["_given"]
         base = values.copy()
-        base[list(given)] = 0.0
+        base[list(parameters)] = 0.0
         # The coefficients are linear in the values, and one Parameter may occur in several values.
         units = {parameter: np.zeros(times.size) for parameter in self.parameters}
-        for k, parameter in given.items():
+        for k, parameter in parameters.items():
             units[parameter][k] = 1.0
-        pieces = [self._pieces(times, each) for each in (base, *units.values())]
+        pieces = [self._pieces(times, column) for column in (base, *units.values())]
         return np.vstack([self.starts, *pieces]).T
 
     def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:

@@ -236,7 +236,7 @@ def covariant_graph(form: ConnectionForm) -> ca.Function:
     the reduced metric of inertia and no other forces act, f are the joint torques at zero momentum.
     """
     nx, m, none = form.nx, form.m, ca.SX.sym("none")
-    motion, along = ca.SX.sym("motion", nx + 2 * m), ca.SX.sym("along", m)
+    motion, weights = ca.SX.sym("motion", nx + 2 * m), ca.SX.sym("along", m)
     x, xdot, xddot = motion[:nx], motion[nx : nx + m], motion[nx + m :]
     square = velocity_graph(form)(motion[: nx + m], none)[-1]
     energy_gradient = 0.5 * ca.gradient(square, motion)
@@ -246,8 +246,8 @@ def covariant_graph(form: ConnectionForm) -> ca.Function:
     force = momentum_rate - along_frame(form, energy_gradient[:nx].T, x).T
     for ball in form.space.balls:
         force[ball.v] += ca.cross(xdot[ball.v], momentum[ball.v])
-    derivative = along_frame(form, ca.gradient(ca.dot(along, force), motion).T, motion).T
-    return _function("covariant", ca.vertcat(motion, along), [force, derivative])
+    derivative = along_frame(form, ca.gradient(ca.dot(weights, force), motion).T, motion).T
+    return _function("covariant", ca.vertcat(motion, weights), [force, derivative])
 
 
 def coordinate_rates(space: ShapeSpace, x: ca.SX, xdot: ca.SX) -> ca.SX:

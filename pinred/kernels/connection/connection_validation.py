@@ -136,8 +136,8 @@ def validate_covariant(form: ConnectionForm, code: NativeCode) -> None:
         def weighted_force(
             step: Array, at: TrialShape = at, rates: Array = rates, along: Array = along
         ) -> Array:
-            x, moved = form.space.integrate(at.x, at.steps * step[:m]), rates + step[m:]
-            motion = [x, np.tile(at.steps, 2) * moved, at.steps * along]
+            x, stepped_rates = form.space.integrate(at.x, at.steps * step[:m]), rates + step[m:]
+            motion = [x, np.tile(at.steps, 2) * stepped_rates, at.steps * along]
             values = _evaluate_one(code, np.concatenate(motion), 4 * m)
             return values[:m] @ (at.steps * along)[:, None]
 

@@ -228,7 +228,7 @@ def _by_polynomials(lanes: int) -> str:
     # q = nearest integer to x / (π/2); r + e = x − q π/2, where e is the rounding error of r.
     shifted = fma("shifted", "%x", number(_TWO_OVER_PI), number(_MAGIC))
     q = op("q", "fsub", shifted, number(_MAGIC))
-    minus = [number(-part) for part in PARTS]
+    minus = [number(-summand) for summand in PARTS]
     r1 = fma("r1", q, minus[0], "%x")
     r2 = fma("r2", q, minus[1], r1)
     e2 = fma("e2", q, minus[1], op("d2", "fsub", r1, r2))

@@ -282,10 +282,10 @@ def levenberg_marquardt(
     for done in range(most):
         size = float(np.linalg.norm(value))
         U, s, V = np.linalg.svd(jacobian(z), full_matrices=False)
-        along = U.T @ value
+        components = U.T @ value
         trial, trial_value = z, value
         while damping <= _LARGEST:
-            trial = z - V.T @ (s / (s**2 + (damping * s[0]) ** 2) * along)
+            trial = z - V.T @ (s / (s**2 + (damping * s[0]) ** 2) * components)
             trial_value = _value(residuals, trial)
             if float(np.linalg.norm(trial_value)) < size or size <= tolerance:
                 break

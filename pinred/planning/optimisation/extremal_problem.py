@@ -314,7 +314,7 @@ class ExtremalProblem:
         through = self.group.compose(before, poses)
         after = self.group.compose(inverse(through), np.tile(last, (SEGMENTS, 1)))
         shape = replaced.shape
-        before, after = (np.broadcast_to(each, shape) for each in (before, after))
+        before, after = (np.broadcast_to(value, shape) for value in (before, after))
         return self.group.compose(self.group.compose(before, replaced), after)
 
 

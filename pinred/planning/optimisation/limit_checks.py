@@ -112,7 +112,7 @@ class LimitChecks:
             between = np.outer([distances.max() - 1.0, distances.min()], _CLOSER)
             between = np.append(between, 0.0)
             more.append(Times(*np.broadcast_arrays(kind, joint, sign, (s + between) % 1.0)))
-        times = Times(*(np.concatenate(each) for each in zip(*more, strict=True)))
+        times = Times(*(np.concatenate(column) for column in zip(*more, strict=True)))
         k = 2.0 * np.pi * np.arange(1, (len(c) + 1) // 2)[:, None]
         cos, sin = np.split(c[1:], 2)
         by_shift = np.vstack([np.zeros_like(c[:1]), k * -sin, k * cos])
@@ -201,20 +201,20 @@ class LimitedLoop:
     def _with_slopes(self, group: CheckGroup, checks: LimitChecks) -> tuple[Array, Array]:
         """Return q, (M,), and its derivatives, (M, K, m), at times that move with the loop."""
         kind, joint, s = group.kind, group.joint, group.s + checks.shift(self.c)
-        each, scale = np.arange(len(s)), self.scale(kind)[joint]
+        samples, scale = np.arange(len(s)), self.scale(kind)[joint]
         rows = fourier_rows(self.harmonics, s)
         x, slope, bend = states = [row @ self.c for row in rows]
         covector = np.zeros((len(s), self.c.shape[1]))
-        covector[each, joint] = 1.0 / scale
+        covector[samples, joint] = 1.0 / scale
         if kind == _TORQUE:
-            q = torques(self.connection, x, slope, bend)[each, joint]
+            q = torques(self.connection, x, slope, bend)[samples, joint]
             slopes = dict(
                 enumerate(
                     np.split(torque_slopes(self.connection, x, slope, bend, covector), 3, axis=1)
                 )
             )
         else:
-            q, slopes = states[kind][each, joint], {kind: covector}
+            q, slopes = states[kind][samples, joint], {kind: covector}
             q = q - self.limits.middle[joint] * (kind == 0)
         rates = (*states[1:], self.third_derivatives(rows[1]))
         by_c = sum(rows[k][:, :, None] * by_state[:, None] for k, by_state in slopes.items())
@@ -228,7 +228,7 @@ class LimitedLoop:
 
     def peaks_beyond(self, level: float = 1.0 - _ROUND_OFF) -> Times:
         """Return the local maxima of |q| that exceed a level."""
-        found = [Times(*(np.zeros(0, dtype) for dtype in (int, int, float, float)))]
+        times = [Times(*(np.zeros(0, dtype) for dtype in (int, int, float, float)))]
         for kind, size in enumerate((self.limits.reach, self.limits.speed, self.limits.torque)):
             if not np.isfinite(size).any():
                 continue
@@ -241,8 +241,8 @@ class LimitedLoop:
                 joint, s, value = self._stationary(kind)
             beyond = np.abs(value) > level
             kinds = np.full(beyond.sum(), kind)
-            found.append(Times(kinds, joint[beyond], np.sign(value[beyond]), s[beyond] % 1.0))
-        return Times(*(np.concatenate(each) for each in zip(*found, strict=True)))
+            times.append(Times(kinds, joint[beyond], np.sign(value[beyond]), s[beyond] % 1.0))
+        return Times(*(np.concatenate(column) for column in zip(*times, strict=True)))
 
     def _stationary(self, kind: int) -> tuple[NDArray[np.int_], Array, Array]:
         """Return joints, times and values q of the maxima of |shape| or |speed|, (N,) each.

@@ -130,14 +130,14 @@ def minimum(
     Returns:
         The result at the final iterate.
     """
-    z, left, status, misses, units = start, most, "", 0, None
+    z, remaining, status, misses, units = start, most, "", 0, None
     longest = max(_LONGEST, 2 * problem.size)
     for _ in range(_RUNS):
         # Boxes are relative to the current point: below its round-off, both edges would be equal.
         size = max(float(np.abs(z).max()), 1e-300)
         box = radius if units is None else radius / np.linalg.norm(units, axis=0)
-        run = _run(problem, z, min(left, longest), radius=box, units=units)
-        trial, status, left = run.x, str(run.message), left - int(run.nit)
+        run = _run(problem, z, min(remaining, longest), radius=box, units=units)
+        trial, status, remaining = run.x, str(run.message), remaining - int(run.nit)
         value, violation = problem.at(z)[0][0], problem.violation(z)
         gain, left_over = value - problem.at(trial)[0][0], problem.violation(trial)
         feasible, at_edge = violation <= _VIOLATION, np.abs(trial - z).max() > _EDGE * radius
@@ -152,13 +152,13 @@ def minimum(
             if done and not at_edge and run.nit < longest:
                 break
             radius /= _SMALLER if feasible else 1.0
-        if left <= 0 or radius < _SMALLEST * size or misses >= _MISSES:
+        if remaining <= 0 or radius < _SMALLEST * size or misses >= _MISSES:
             break
         slow = problem.equations.any() and run.nit >= longest
         defined = 0.0 < abs(problem.at(z)[0][0]) < np.inf
         units = _newton_units(problem, z) if slow and defined else None
     value = float(problem.at(z)[0][0])
-    return Minimum(z, value, status, most - left, kkt_residual(problem, z))
+    return Minimum(z, value, status, most - remaining, kkt_residual(problem, z))
 
 
 def _gains(problem: Problem, z: Array, trial: Array) -> bool:
@@ -207,16 +207,16 @@ def _newton_units(problem: Problem, z: Array) -> Array:
     multipliers = _multipliers(problem, z, _NEAR)[1]
     weights = np.append(1.0 / abs(problem.at(z)[0][0]), multipliers)
     step = _STEP * max(float(np.abs(z).max()), 1e-300)
-    gradients = [weights @ problem.at(each)[1] for each in z + step * np.eye(len(z))]
+    gradients = [weights @ problem.at(point)[1] for point in z + step * np.eye(len(z))]
     H = (np.array(gradients) - weights @ problem.at(z)[1]) / step
     normals = problem.at(z)[1][1:][multipliers != 0.0]
     axes, sizes, _ = np.linalg.svd(normals.T)
     rank = int((sizes > _STEP * sizes.max(initial=0.0)).sum())
-    across, along = np.split(axes, [rank], axis=1)
-    bends, mixture = np.linalg.eigh(along.T @ (H + H.T) @ along)
+    across, tangents = np.split(axes, [rank], axis=1)
+    bends, mixture = np.linalg.eigh(tangents.T @ (H + H.T) @ tangents)
     size = float(np.abs(bends).max(initial=0.0)) or 1.0
     bends = np.append(np.full(rank, size), np.maximum(np.abs(bends), _FLAT * size))
-    return np.asarray(np.hstack([across, along @ mixture]) / np.sqrt(0.5 * bends))
+    return np.asarray(np.hstack([across, tangents @ mixture]) / np.sqrt(0.5 * bends))
 
 
 def _run(
@@ -328,10 +328,10 @@ def _multipliers(problem: Problem, z: Array, active: float) -> tuple[Array, Arra
     rows, signs = np.append(high, low), np.append(np.ones(len(high)), -np.ones(len(low)))
     normals = signs[:, None] * gradients[rows]
     norms = np.linalg.norm(normals, axis=1)
-    rows, signs, normals, norms = (each[norms > 0.0] for each in (rows, signs, normals, norms))
+    rows, signs, normals, norms = (array[norms > 0.0] for array in (rows, signs, normals, norms))
     multipliers = np.zeros(len(constraints))
     if len(rows):
-        found = nnls((normals / norms[:, None]).T, -residual)[0] / norms
-        residual = residual + found @ normals
-        np.add.at(multipliers, rows, signs * found)
+        solution = nnls((normals / norms[:, None]).T, -residual)[0] / norms
+        residual = residual + solution @ normals
+        np.add.at(multipliers, rows, signs * solution)
     return residual, multipliers

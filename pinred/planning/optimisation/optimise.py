@@ -160,7 +160,7 @@ def optimise_gait(
         whole(harmonics, "harmonics"), whole(starts, "starts"), whole(seed, "seed", 0)
     )  # fmt: skip
     optima: list[Optimum] = []
-    known: list[End] = []
+    previous: list[End] = []
     failures: list[Exception] = []
     with shown(progress, "gaits", what="optimises a gait", reports=True) as report:
         for k in range(starts):
@@ -170,7 +170,9 @@ def optimise_gait(
                     optima.append(_optimise_polygon(task, vertices, rng))
                 else:
                     change = _PERTURBATIONS[min(k, 1)]
-                    optima.append(_optimise_fourier(task, harmonics, winding, rng, change, known))
+                    optima.append(
+                        _optimise_fourier(task, harmonics, winding, rng, change, previous)
+                    )
             except (StartFailed, SingularInertiaError, IntegrationError) as error:
                 failures.append(error)
             if report is not None:

@@ -117,16 +117,16 @@ class FlightDynamics:
         """Compute the first derivatives by (x, ẋ, ẍ, q)."""
         r, m = self.r, self.m
         wide = 3 * m + self.size
-        own = np.zeros((len(s.q), r + m, wide))
-        own[:, :r, :m] = self._inverse.first(s.momenta)[:, :r, 2 * r : 2 * r + m]
-        own[:, :r, m : 2 * m] = s.coupling
-        own[:, self.linear : r, 3 * m :] = -self._momentum_slope(s.q, s.momentum)
-        twist = -np.linalg.solve(s.inertia, own[:, :r])
+        slopes = np.zeros((len(s.q), r + m, wide))
+        slopes[:, :r, :m] = self._inverse.first(s.momenta)[:, :r, 2 * r : 2 * r + m]
+        slopes[:, :r, m : 2 * m] = s.coupling
+        slopes[:, self.linear : r, 3 * m :] = -self._momentum_slope(s.q, s.momentum)
+        twist = -np.linalg.solve(s.inertia, slopes[:, :r])
         first = self._inverse.first(s.motion)
-        own = first[:, :, :r] @ twist
-        own[..., : 3 * m] += first[:, :, 2 * r :]
-        acceleration = -np.linalg.solve(s.inertia, own[:, :r])
-        torque = own[:, r:] + np.swapaxes(s.coupling, 1, 2) @ acceleration
+        slopes = first[:, :, :r] @ twist
+        slopes[..., : 3 * m] += first[:, :, 2 * r :]
+        acceleration = -np.linalg.solve(s.inertia, slopes[:, :r])
+        torque = slopes[:, r:] + np.swapaxes(s.coupling, 1, 2) @ acceleration
         rate = self._rate_map(s.q) @ twist[:, self.linear :]
         rate[..., 3 * m :] += self._rate_slope(s.twist[:, self.linear :])
         return Slopes(np.concatenate([twist, acceleration], axis=1), rate, torque)
@@ -177,18 +177,18 @@ class FlightDynamics:
         if self.turns == 1:
             return np.broadcast_to(J, q.shape)
         v, w = q[:, :3], q[:, 3:]
-        along = np.sum(v * J, axis=1, keepdims=True)
+        alignment = np.sum(v * J, axis=1, keepdims=True)
         square = w**2 - np.sum(v**2, axis=1, keepdims=True)
-        return np.asarray(square * J + 2.0 * v * along - 2.0 * w * np.cross(v, J))
+        return np.asarray(square * J + 2.0 * v * alignment - 2.0 * w * np.cross(v, J))
 
     def _momentum_slope(self, q: Array, J: Array) -> Array:
         if self.turns == 1:
             return np.zeros((len(q), 1, 1))
         v, w = q[:, :3], q[:, 3:]
-        along = np.sum(v * J, axis=1)[:, None, None]
+        alignment = np.sum(v * J, axis=1)[:, None, None]
         slope = np.empty((len(q), 3, 4))
         slope[..., :3] = 2.0 * (
-            along * np.eye(3) + v[:, :, None] * J - J[:, None] * v[:, None]
+            alignment * np.eye(3) + v[:, :, None] * J - J[:, None] * v[:, None]
             + w[..., None] * hat(J)
         )  # fmt: skip
         slope[..., 3] = 2.0 * (w * J - np.cross(v, J))
@@ -212,10 +212,10 @@ class FlightDynamics:
 
 def _momentum_second(z: Array, J: Array) -> Array:
     second = np.zeros((len(z), 4, 4))
-    along = (z @ J)[:, None, None]
+    alignment = (z @ J)[:, None, None]
     outer = z[:, :, None] * J
-    second[:, :3, :3] = 2.0 * (outer + np.swapaxes(outer, 1, 2) - along * np.eye(3))
-    second[:, 3:, 3:] = 2.0 * along
+    second[:, :3, :3] = 2.0 * (outer + np.swapaxes(outer, 1, 2) - alignment * np.eye(3))
+    second[:, 3:, 3:] = 2.0 * alignment
     second[:, :3, 3] = second[:, 3, :3] = -2.0 * np.cross(J, z)
     return second
 

@@ -101,13 +101,13 @@ class FlightPlan(FrozenArrays):
 
     def __str__(self) -> str:
         costs = ", ".join(f"{cost:.4g}" for cost in np.sort(self.starts) if np.isfinite(cost))
-        found = self.starts[np.isfinite(self.starts)]
+        solved = self.starts[np.isfinite(self.starts)]
         quantity = "mean Σ torque²" if self.effort == "torque" else "mean Σ rate²"
         lines = [
             f"{self.system.name} lands after {self.duration:g} s",
             f"  remaining [rad]         {self.remaining:.1e}",
             f"  {quantity:<23} {self.cost:.6g}",
-            f"  starts                  {len(found)} of {len(self.starts)} solved",
+            f"  starts                  {len(solved)} of {len(self.starts)} solved",
             f"  of each, coarse grid    {costs or 'none'}",
             f"  KKT residual            {self.kkt:.1e}, equations {self.violation:.1e}",
             *(f"  margin to {name:<13} {value:.3g}" for name, value in self.margins.items()),

@@ -194,11 +194,11 @@ class FlightProgram:
         lbg, ubg = self._bounds_of_equations()
         solver = self._solvers[stage]
         self._gauss_newton = _GAUSS_NEWTON if stage == "search" else 0
-        known = (
+        warm_start = (
             {} if multipliers is None else dict(zip(("lam_x0", "lam_g0"), multipliers, strict=True))
         )
         start = np.concatenate([coefficients.ravel(), q.ravel()])
-        done = solver(x0=start, lbx=low, ubx=high, lbg=lbg, ubg=ubg, **known)
+        done = solver(x0=start, lbx=low, ubx=high, lbg=lbg, ubg=ubg, **warm_start)
         for function in self._functions:
             if function.errors:
                 errors, function.errors = function.errors, []
@@ -309,8 +309,8 @@ class FlightProgram:
     def _constraints(self, X: Array) -> Array:
         state, h = self._at(X), self._problem.duration / self.count
         equations = np.zeros((self.count, 2, self._size))
-        parts = zip(_ATTITUDES, _HERMITE_SIMPSON, strict=True)
-        for k, (on_attitude, on_rate) in enumerate(parts):
+        defects = zip(_ATTITUDES, _HERMITE_SIMPSON, strict=True)
+        for k, (on_attitude, on_rate) in enumerate(defects):
             q, rate = state.q[k::2][: self.count], state.rate[k::2][: self.count]
             equations += np.array(on_attitude)[:, None] * q[:, None]
             equations -= h * np.array(on_rate)[:, None] * rate[:, None]

@@ -123,17 +123,17 @@ def plan_flight(request: FlightRequest) -> FlightPlan:
         kind = "ball joints" if system.space.balls else "closed loops"
         raise InputError(f"effort: a motion of least effort needs a robot without {kind}")
     flight = _Flight(request)
-    found: list[Solution] = []
+    solutions: list[Solution] = []
     for k in range(flight.starts):
-        found.append(flight.solve(_COARSE, flight.start(k)))
+        solutions.append(flight.solve(_COARSE, flight.start(k)))
         # Programs without a solution take long, so look for the nearest attitude instead.
-        if k + 1 == _TRIALS and not any(solution.solved for solution in found):
+        if k + 1 == _TRIALS and not any(solution.solved for solution in solutions):
             near = flight.nearest(_COARSE)
             if flight.miss(near) > _FAR:
                 break
-            found.append(flight.solve(_COARSE, near.coefficients))
-    costs = np.array([flight.cost(s) if s.solved else np.nan for s in found])
-    best = flight.best_of(found, costs)
+            solutions.append(flight.solve(_COARSE, near.coefficients))
+    costs = np.array([flight.cost(s) if s.solved else np.nan for s in solutions])
+    best = flight.best_of(solutions, costs)
     if best is not None:
         return flight.plan(best, costs, None)
     near = flight.nearest(flight.fine)
@@ -183,8 +183,8 @@ class _Flight:
             return turn
         program = self.program(_COARSE)
         still = program.fit(np.tile(self.request.ends[0], (_COARSE + 1, 1)))
-        turned = self.turned(program, still, duration, turn, _COARSE)[-1]
-        return np.asarray(turn + 2.0 * np.pi * np.round(turned / (2.0 * np.pi)))
+        reached = self.turned(program, still, duration, turn, _COARSE)[-1]
+        return np.asarray(turn + 2.0 * np.pi * np.round(reached / (2.0 * np.pi)))
 
     def program(self, count: int) -> FlightProgram:
         """Return the program with a number of segments."""
@@ -193,11 +193,11 @@ class _Flight:
             return self.system.workspace(
                 key, lambda: FlightProgram(self.system, count, self.bounded)
             )
-        known = self.programs.get(count)
-        if known is None or known[0] != self.close:
-            known = self.close, FlightProgram(self.system, count, self.close)
-            self.programs[count] = known
-        return known[1]
+        cached = self.programs.get(count)
+        if cached is None or cached[0] != self.close:
+            cached = self.close, FlightProgram(self.system, count, self.close)
+            self.programs[count] = cached
+        return cached[1]
 
     def program_of(self, solution: Solution) -> FlightProgram:
         """Return a program with the number of segments of a solution."""
@@ -369,11 +369,15 @@ class _Flight:
             if self.tight.min() < _TIGHTEST:
                 return None
             if not near:
-                turned = quaternion_exp(-error) if self.turns == 3 else -error
-                aim = unit(quaternion_product(aim, turned)) if self.turns == 3 else aim + turned
-            known = solution if self.close == before else None
+                correction = quaternion_exp(-error) if self.turns == 3 else -error
+                aim = (
+                    unit(quaternion_product(aim, correction))
+                    if self.turns == 3
+                    else aim + correction
+                )
+            start = solution if self.close == before else None
             solution = self.solve(
-                self.fine, solution.coefficients, before=known, aim=aim, near=near
+                self.fine, solution.coefficients, before=start, aim=aim, near=near
             )
         return None
 
@@ -412,10 +416,10 @@ class _Flight:
     def nearest_at(self, duration: float, starts: list[Array]) -> Solution:
         """Return the coarse solution nearest to the target at a duration."""
         aim = self.aim_at(duration)
-        found = [
+        candidates = [
             self.solve(_COARSE, start, aim=aim, duration=duration, near=True) for start in starts
         ]
-        return min(found, key=lambda s: (s.violation > _SOLVED, self.collocated_miss(s)))
+        return min(candidates, key=lambda s: (s.violation > _SOLVED, self.collocated_miss(s)))
 
     def collocated_miss(self, solution: Solution) -> float:
         """Return the rotation to the target [rad] of the attitudes of the program."""
@@ -463,7 +467,7 @@ class _Flight:
         duration at which the program with a fixed final attitude was solved.
         """
         self.tight[:] = 1.0 - _MARGIN
-        guess, known = self.finer(near, _COARSE), self.duration
+        guess, feasible = self.finer(near, _COARSE), self.duration
 
         def reaches(seconds: float) -> Solution | None:
             solution = self.nearest_at(seconds, [guess, self.start(0), self.start(1)])
@@ -476,18 +480,18 @@ class _Flight:
             return solution if solution.solved else None
 
         for _ in range(_LONGEST):
-            high = _GROWTH * known
+            high = _GROWTH * feasible
             solution = reaches(high)
             if solution is not None:
                 break
-            known = high
+            feasible = high
         else:
             return float("nan")
-        while high - known > _RESOLUTION * high:
-            guess, middle = solution.coefficients, 0.5 * (known + high)
+        while high - feasible > _RESOLUTION * high:
+            guess, middle = solution.coefficients, 0.5 * (feasible + high)
             shorter = reaches(middle)
             if shorter is None:
-                known = middle
+                feasible = middle
             else:
                 high, solution = middle, shorter
         return high

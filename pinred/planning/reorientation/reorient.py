@@ -145,10 +145,13 @@ def reorient(
         SymmetryError: Gravity rotates the base.
         NoOptimum: No loop within the limits was found.
     """
-    given, system = system, checked_system(system_of(system, "reorient"), "reorient", loops=True)
+    system_or_connection, system = (
+        system,
+        checked_system(system_of(system, "reorient"), "reorient", loops=True),
+    )
     group = system.group
-    if isinstance(given, Connection) and system.loops:
-        connection = given
+    if isinstance(system_or_connection, Connection) and system.loops:
+        connection = system_or_connection
     else:
         connection = Connection.mechanical(system)
         connection = connection if system.loops else connection.in_chart(_centre(system, x0))

@@ -95,8 +95,8 @@ def frame_jacobian(system: System, values: ca.SX, x: ca.SX) -> ca.SX:
 
 def _ball_rate_map(q: ca.SX) -> ca.SX:
     """Return E, (4, 3), with q̇ = ½ q ∘ (σ, 0) = E σ."""
-    turned = ca.skew(q[:3]) + q[3] * ca.SX.eye(3)
-    E: ca.SX = 0.5 * ca.vertcat(turned, -q[:3].T)
+    matrix = ca.skew(q[:3]) + q[3] * ca.SX.eye(3)
+    E: ca.SX = 0.5 * ca.vertcat(matrix, -q[:3].T)
     return E
 
 

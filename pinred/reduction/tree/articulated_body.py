@@ -120,12 +120,12 @@ def shifted(M: Sym, B: Mat, I: Sym, r: Vec) -> tuple[Mat, Sym]:
         return B, I
     columns = [cross(r, [M[INDEX[k][j]] for k in range(3)]) for j in range(3)]
     new_B = [[add(B[i][j], columns[j][i]) for j in range(3)] for i in range(3)]
-    left = [cross(r, B[i]) for i in range(3)]  # row i of −B r̂
+    products = [cross(r, B[i]) for i in range(3)]  # row i of −B r̂
     right = [cross(r, new_B[j]) for j in range(3)]  # column j of r̂ B′ᵀ
     new_I = list(I)
     for i in range(3):
         for j in range(i, 3):
-            new_I[INDEX[i][j]] = add(I[INDEX[i][j]], add(left[i][j], right[j][i]))
+            new_I[INDEX[i][j]] = add(I[INDEX[i][j]], add(products[i][j], right[j][i]))
     return new_B, new_I
 
 
@@ -146,8 +146,8 @@ def moved_twist(body: Body, v: Vec, w: Vec, rates: Sequence[Scalar]) -> tuple[Ve
     if body.is_ball:
         return v, plus(w, body.to_frame(rates[body.v_at : body.v_at + 3]))
     v, w = list(v), list(w)
-    moved = v if body.prismatic else w
-    moved[2] = add(moved[2], rates[body.v_at])
+    changed = v if body.prismatic else w
+    changed[2] = add(changed[2], rates[body.v_at])
     return v, w
 
 

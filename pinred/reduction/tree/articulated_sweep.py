@@ -282,11 +282,13 @@ def sweep(
         (solved_rate,) = solved.rates
         rate = groups.rate(i, solved_rate.at(vi, wi), solved_rate.axis)
         h = solved.inner
-        along: Scalar = 0.0  # momentum of the subtree along a prescribed joint
+        joint_momentum: Scalar = 0.0  # momentum of the subtree along a prescribed joint
         if groups.is_driven(link.lanes[0]):
-            along = linear_row(h, 2, vi, wi) if body.prismatic else angular_row(h, 2, vi, wi)
-            along = add(along, groups.momentum(i, 2, angular=not body.prismatic))
-            along = add(along, mul(body.armature, rate))
+            joint_momentum = (
+                linear_row(h, 2, vi, wi) if body.prismatic else angular_row(h, 2, vi, wi)
+            )
+            joint_momentum = add(joint_momentum, groups.momentum(i, 2, angular=not body.prismatic))
+            joint_momentum = add(joint_momentum, mul(body.armature, rate))
         hx, hy = (add(linear_row(h, k, vi, wi), groups.momentum(i, k)) for k in (0, 1))
         if body.prismatic:
             # v × S = (ω × e_z, 0)
@@ -310,7 +312,7 @@ def sweep(
             for k, ratio in groups.terms[j]:
                 pidot[k] = add(pidot[k], mul(ratio, own_force))
                 if k in rates:
-                    lane_momentum = lanes.lane(along, lane, len(link.lanes))
+                    lane_momentum = lanes.lane(joint_momentum, lane, len(link.lanes))
                     momenta[k] = add(momenta[k], mul(ratio, lane_momentum))
     return Swept(linear, angular, xdot, momenta, pidot, factors, links, joints, twists, root)
 

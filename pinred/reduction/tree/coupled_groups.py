@@ -199,13 +199,13 @@ class Groups:
         number = self.number(i)
         terms, columns = self.members[number], self._open[i]
         U, Ua = momentum_of_rate(freedom, a)
-        along = {g: freedom.along(c.lin, c.ang) for g, c in columns.items()}
+        shares = {g: freedom.along(c.lin, c.ang) for g, c in columns.items()}
         inertia = add(freedom.along(U, Ua), freedom.armature)
         momentum = freedom.along(a.lin, a.ang)
         if number in self.pushed:
             momentum = add(momentum, mul(freedom.armature, self.pushed[number]))
         for n, (k, ratio) in enumerate(terms):
-            for g, share in along.items():
+            for g, share in shares.items():
                 twice = 2.0 if g == k else 1.0
                 self._add_between(k, g, mul(twice * ratio, share))
             for g, other in terms[n:]:
@@ -232,9 +232,9 @@ class Groups:
             return
         U, Ua = momentum_of_rate(freedom, a)
         inverse = 1.0 / add(freedom.along(U, Ua), freedom.armature)
-        along = {g: freedom.along(c.lin, c.ang) for g, c in columns.items()}
-        self._eliminate_rate(i, along, Column(U, Ua), inverse, drive)
-        self._shares[i][freedom.axis] = {g: mul(share, inverse) for g, share in along.items()}
+        shares = {g: freedom.along(c.lin, c.ang) for g, c in columns.items()}
+        self._eliminate_rate(i, shares, Column(U, Ua), inverse, drive)
+        self._shares[i][freedom.axis] = {g: mul(share, inverse) for g, share in shares.items()}
         if isinstance(freedom.armature, float) and freedom.armature == 0.0:
             for column in columns.values():  # the remainder is exactly zero along the joint axis
                 (column.lin if freedom.slides else column.ang)[freedom.axis] = 0.0

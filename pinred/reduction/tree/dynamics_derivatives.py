@@ -201,9 +201,9 @@ class InverseDynamics:
         by_A = -_times(adS, tA[:, 0])
         same[:, 0, 0] += np.sum(B[:, 1:] * twice + n[:, 1:] * by_A, -1)
         same[:, 0, 0] -= np.sum(s.F[:, 1:] * _times(adS, tY[:, 0]), -1)
-        along = np.sum(n[:, 1:] * twice, -1)
-        same[:, 0, 1] += along
-        same[:, 1, 0] += along
+        product = np.sum(n[:, 1:] * twice, -1)
+        same[:, 0, 1] += product
+        same[:, 1, 0] += product
         # Second derivatives by variables of a joint and of one above it.
         Sn = _times(coS, n[:, 1:])
         Pb[:, 0] += Sn
@@ -235,8 +235,8 @@ class InverseDynamics:
     def _by_twist(self, s: Motion) -> Array:
         """Return D, the derivative of the wrench on a subtree by its twist, (N, M + 1, 6, 6)."""
         half = s.bodies.inertias @ s.ad
-        own = _momentum_operator(s.h) - half - _transposed(half)
-        return np.asarray(self._subtrees(own) + s.bodies.composites @ s.ad)
+        of_bodies = _momentum_operator(s.h) - half - _transposed(half)
+        return np.asarray(self._subtrees(of_bodies) + s.bodies.composites @ s.ad)
 
     def _inputs(self, s: Motion, adS: Array) -> tuple[Array, Array]:
         """Return changes of twists and accelerations by (x, ẋ, ẍ) of the joints, (N, 3, M, 6)."""

@@ -162,8 +162,8 @@ def links_of(
             joint = (body.kind.name, branch[0] in driven) if not (body.is_ball or alone) else None
             part.branches.append(_Part(tuple(branch), joint))
         pending += part.branches
-    parts = _with_joined_limbs(root) if lanes.joins else list(root)
-    return _ordered(parts, bodies, lanes)
+    pieces = _with_joined_limbs(root) if lanes.joins else list(root)
+    return _ordered(pieces, bodies, lanes)
 
 
 def from_parents(link: Link, links: Sequence[Link], values: Sequence[Vec], lanes: Lanes) -> Vec:
@@ -184,10 +184,12 @@ def to_parents(link: Link, links: Sequence[Link], values: Vec, lanes: Lanes) -> 
         return {parent: [lanes.sum(value, across) for value in values]}
     sums: dict[int, Vec] = {}
     for i in dict.fromkeys(above for above, _ in link.parents):
-        own = [[k for k, place in enumerate(link.parents) if place == (i, lane)]
+        lanes_of_parent = [[k for k, place in enumerate(link.parents) if place == (i, lane)]
                for lane in range(len(links[i].lanes))]  # fmt: skip
         sums[i] = [
-            lanes.pack([total([lanes.lane(value, k, width) for k in group]) for group in own])
+            lanes.pack(
+                [total([lanes.lane(value, k, width) for k in group]) for group in lanes_of_parent]
+            )
             for value in values
         ]
     return sums
@@ -246,12 +248,12 @@ class _Part:
 
     def joined(self, other: _Part) -> _Part:
         """Return a part with the lanes of two; behind it, what matches is joined, too."""
-        left, branches = [*self.branches, *other.branches], []
+        unpaired, branches = [*self.branches, *other.branches], []
         for a, b in zip(self._longest_first, other._longest_first, strict=False):
             if a.matches(b):
                 branches.append(a.joined(b))
-                left = [branch for branch in left if branch not in (a, b)]
-        return _Part((*self.members, *other.members), self.joint, branches + left)
+                unpaired = [branch for branch in unpaired if branch not in (a, b)]
+        return _Part((*self.members, *other.members), self.joint, branches + unpaired)
 
     @property
     def _longest_first(self) -> list[_Part]:

@@ -154,8 +154,8 @@ class LoopRows:
         entries: dict[int, Scalar] = {}
         for crossing, m in self._moments(f, turning):
             for k, axis in enumerate(crossing.axes):
-                along = f if crossing.body.prismatic else m
-                entries[crossing.body.v_at + k] = mul(crossing.sign, dot(axis, along))
+                moment = f if crossing.body.prismatic else m
+                entries[crossing.body.v_at + k] = mul(crossing.sign, dot(axis, moment))
         return entries
 
     def turning(self, nu: Mapping[int, Scalar], rates: Sequence[Scalar]) -> dict[int, Scalar]:
@@ -168,14 +168,14 @@ class LoopRows:
             body = crossing.body
             velocity = plus(velocity, cross(omega, crossing.before))
             at, near = velocity, omega
-            moved: Vec = [0.0, 0.0, 0.0]
+            relative: Vec = [0.0, 0.0, 0.0]
             for k, axis in enumerate(crossing.axes):
                 rate = mul(crossing.sign, rates[body.v_at + k])
-                moved = plus(moved, [mul(rate, z) for z in axis])
+                relative = plus(relative, [mul(rate, z) for z in axis])
             if body.prismatic:
-                velocity = plus(velocity, moved)
+                velocity = plus(velocity, relative)
             else:
-                omega = plus(omega, moved)
+                omega = plus(omega, relative)
             velocity = plus(velocity, cross(omega, crossing.after))
             # The axes of a ball are fixed in the body that it moves.
             fixed = omega if body.is_ball and crossing.sign > 0.0 else near
@@ -370,8 +370,8 @@ def solve_with_loops(
     phi = as_column(constraint_values(system, bodies, entries))
     by_coordinates = ca.jacobian(phi, column)
     if driven:
-        here = ca.vertcat(*(ca.SX(value) for value in x))
-        phi, by_coordinates = ca.substitute([phi, by_coordinates], [column], [here])
+        coordinates = ca.vertcat(*(ca.SX(value) for value in x))
+        phi, by_coordinates = ca.substitute([phi, by_coordinates], [column], [coordinates])
     rows = _rows_of(system, bodies, joint_values(system, x))
     J = [on_shape(system, _spread(system, loop.row(n))) for loop, n in rows]
     responses, free = [sweep(list(row), False) for row in J], sweep(list(momentum), True)
@@ -385,15 +385,15 @@ def solve_with_loops(
         gaps = [_product(response, free) for response in responses]
     L, _, inverse = factor_ldl(mobility)
     nu = solve_factored(L, inverse, gaps)
-    pi, along = _less_multipliers(J, momentum, nu)
+    pi, loop_momenta = _less_multipliers(J, momentum, nu)
     swept = sweep(pi, True)
     if needs_second_solution(system):
         more = solve_factored(L, inverse, [dot(row, swept.xdot) for row in J])
         pi, along_more = _less_multipliers(J, pi, more)
-        nu, along = _sums(nu, more), _sums(along, along_more)
+        nu, loop_momenta = _sums(nu, more), _sums(loop_momenta, along_more)
         swept = sweep(pi, True)
-    turned = _turning(system, rows, nu, joint_rates(system, swept.xdot))
-    rates = [sub(t, mul(GAUGE_RATE, a)) for t, a in zip(turned, along, strict=True)]
+    rotated = _turning(system, rows, nu, joint_rates(system, swept.xdot))
+    rates = [sub(t, mul(GAUGE_RATE, a)) for t, a in zip(rotated, loop_momenta, strict=True)]
     return LoopTerms(swept, pi, rates, phi, by_coordinates, mobility)
 
 
@@ -401,10 +401,12 @@ def _less_multipliers(
     J: Sequence[Sequence[Scalar]], momentum: Sequence[Scalar], nu: Sequence[Scalar]
 ) -> tuple[list[Scalar], list[Scalar]]:
     """Return p − Jᵀν and Jᵀν, (m,) each."""
-    along = [
+    multiplier_momenta = [
         total([mul(row[k], n) for row, n in zip(J, nu, strict=True)]) for k in range(len(momentum))
     ]
-    return [sub(p, a) for p, a in zip(momentum, along, strict=True)], along
+    return [
+        sub(p, a) for p, a in zip(momentum, multiplier_momenta, strict=True)
+    ], multiplier_momenta
 
 
 def _sums(a: Sequence[Scalar], b: Sequence[Scalar]) -> list[Scalar]:
@@ -430,8 +432,8 @@ def needs_second_solution(system: System) -> bool:
         response = np.linalg.inv(H)[system.r :, system.r :] / np.outer(units, units)
         J = scaled_jacobian(system, closure.x, closure.length)[closure.rows]
         kept = np.linalg.svd(J)[2][len(J) :]
-        held = np.linalg.inv(kept @ np.linalg.solve(response, kept.T))
-        free, closed = (float(np.linalg.eigvalsh(matrix)[-1]) for matrix in (response, held))
+        constrained = np.linalg.inv(kept @ np.linalg.solve(response, kept.T))
+        free, closed = (float(np.linalg.eigvalsh(matrix)[-1]) for matrix in (response, constrained))
         return free > _LOSS * closed
 
     return once(system, needs_second_solution, decide)
@@ -465,11 +467,11 @@ def _turning(
     multipliers: dict[int, tuple[LoopRows | PolynomialRow, dict[int, Scalar]]] = {}
     for (loop, n), value in zip(rows, nu, strict=True):
         multipliers.setdefault(id(loop), (loop, {}))[1][n] = value
-    turned: list[Scalar] = [0.0] * system.tree.m
+    rates_of_joints: list[Scalar] = [0.0] * system.tree.m
     for loop, values in multipliers.values():
         for k, entry in loop.turning(values, rates).items():
-            turned[k] = add(turned[k], entry)
-    return on_shape(system, turned)
+            rates_of_joints[k] = add(rates_of_joints[k], entry)
+    return on_shape(system, rates_of_joints)
 
 
 def _spread(system: System, entries: Mapping[int, Scalar]) -> list[Scalar]:

@@ -83,8 +83,8 @@ def momenta(
     pi: list[Scalar] = [0.0] * len(rates)
     for i in range(len(bodies) - 1, 0, -1):
         body, (lin, ang) = bodies[i], wrenches[i]
-        along = body.to_joint(ang) if body.is_ball else [(lin if body.prismatic else ang)[2]]
-        for k, momentum in enumerate(along, start=body.v_at):
+        components = body.to_joint(ang) if body.is_ball else [(lin if body.prismatic else ang)[2]]
+        for k, momentum in enumerate(components, start=body.v_at):
             pi[k] = momentum + body.armature * rates[k] if rotors else momentum
         up, about = steps[i].inward(lin, ang)
         lin0, ang0 = wrenches[body.parent]

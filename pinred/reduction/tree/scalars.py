@@ -173,14 +173,14 @@ class Rotation:
         """Return R m Rᵀ for a symmetric matrix m."""
         if all(isinstance(entry, float) and entry == 0.0 for entry in m):
             return list(m)
-        left = [times(m, row) for row in self._rows]  # row i of R m
-        return [dot(left[i], self._rows[j]) for i in range(3) for j in range(i, 3)]
+        products = [times(m, row) for row in self._rows]  # row i of R m
+        return [dot(products[i], self._rows[j]) for i in range(3) for j in range(i, 3)]
 
     def matrix(self, m: Mat) -> Mat:
         """Return R m Rᵀ for a general matrix m."""
         columns = [list(column) for column in zip(*m, strict=True)]
-        left = [[dot(row, column) for column in columns] for row in self._rows]
-        return [[dot(row, other) for other in self._rows] for row in left]
+        products = [[dot(row, column) for column in columns] for row in self._rows]
+        return [[dot(row, other) for other in self._rows] for row in products]
 
 
 def quaternion_matrix(q: Sequence[Scalar]) -> Mat:

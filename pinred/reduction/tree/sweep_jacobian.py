@@ -106,7 +106,7 @@ def sweep_jacobian(swept: Swept, bodies: Sequence[Body], axes: Sequence[int], la
     # The columns, in the order (μ, x, π), and their products with U of the joints on the path.
     columns = [_Column(solve_lower(L, [float(a == k) for k in range(r)])) for a in range(r)]
     columns += [_Column()] * (2 * m)
-    moved: dict[tuple[int, int], Scalar] = {}
+    coupling: dict[tuple[int, int], Scalar] = {}
     pivots: dict[int, Scalar] = {}
     at = [-1, *(r + body.v_at for body in bodies[1:])]  # index of the column of each body's angle
     for i in range(1, len(links)):
@@ -123,7 +123,7 @@ def sweep_jacobian(swept: Swept, bodies: Sequence[Body], axes: Sequence[int], la
                 columns[at[body] + shift] = _Column(root, taken)
                 for k, product in products.items():
                     place = at[body] + shift, at[_body(links[k], lane)]
-                    moved[place] = lanes.lane(product, lane, width)
+                    coupling[place] = lanes.lane(product, lane, width)
         for lane, body in enumerate(links[i].lanes):
             pivots[body] = lanes.lane(joints[i].inverse, lane, width)
     scaled = [
@@ -137,7 +137,7 @@ def sweep_jacobian(swept: Swept, bodies: Sequence[Body], axes: Sequence[int], la
     K: Mat = [[0.0] * size for _ in range(size)]  # second derivatives of K, in the order (μ, x, π)
     for a in range(size):
         for b in range(a, size):
-            along = moved.get((a, b), moved.get((b, a), 0.0))
+            along = coupling.get((a, b), coupling.get((b, a), 0.0))
             K[a][b] = K[b][a] = add(_product(columns[a], scaled[b]), along)
     return [
         *K[:r],
@@ -183,9 +183,9 @@ def _joints_of(swept: Swept) -> list[_Joint]:
     for i in range(1, len(swept.links)):
         link, joint = swept.links[i], swept.joints[i]
         assert joint is not None
-        rest = frames[link.parent].after(joint.step.fixed)
-        frames.append(rest.after(joint.step.moving))
-        joints.append(_joint(link, joint, swept.twists[i], rest))
+        before = frames[link.parent].after(joint.step.fixed)
+        frames.append(before.after(joint.step.moving))
+        joints.append(_joint(link, joint, swept.twists[i], before))
     return joints
 
 
@@ -194,19 +194,22 @@ def _joint(link: Link, joint: Eliminated, twist: tuple[Vec, Vec], rest: _Frame) 
     (v, w), none, z, inner = twist, [0.0, 0.0, 0.0], [0.0, 0.0, 1.0], joint.inner
     (rate,) = joint.rates
     h = [linear_row(inner, k, v, w) for k in (0, 1)]
-    turned: Vec = [mul(-1.0, h[1]), h[0], 0.0]
+    gyroscopic: Vec = [mul(-1.0, h[1]), h[0], 0.0]
     if link.body.prismatic:
-        S, U, force = rest.twist(z, none), (cross(z, w), none), (none, turned)
+        S, U, force = rest.twist(z, none), (cross(z, w), none), (none, gyroscopic)
     else:
         k = [angular_row(inner, axis, v, w) for axis in (0, 1)]
         S, U = rest.twist(none, z), (cross(z, v), cross(z, w))
-        force = turned, [mul(-1.0, k[1]), k[0], 0.0]
+        force = gyroscopic, [mul(-1.0, k[1]), k[0], 0.0]
     plain = Articulated(inner.M, inner.B, inner.I, none, none)
-    held = (
+    inertial = (
         [linear_row(plain, k, *U) for k in range(3)],
         [angular_row(plain, k, *U) for k in range(3)],
     )
-    e = [[sub(a, b) for a, b in zip(*pair, strict=True)] for pair in zip(force, held, strict=True)]
+    e = [
+        [sub(a, b) for a, b in zip(*pair, strict=True)]
+        for pair in zip(force, inertial, strict=True)
+    ]
     return _Joint(
         S, rest.twist(*U), rest.momentum(rate.gain, rate.gain_angular), rest.momentum(*e),
         rate.inverse,

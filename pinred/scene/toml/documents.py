@@ -108,9 +108,9 @@ IMPACTS = {
 
 def scene_table(options: Mapping[str, Option]) -> Table:
     """Return the table of keys of a scene file with these options."""
-    others = {name: option for name, option in options.items() if name not in _OF_ONE_MOTION}
-    second = {name: option for name, option in others.items() if name not in _OF_FIRST}
-    later = {name: option for name, option in others.items() if option.table != "start"}
+    remaining = {name: option for name, option in options.items() if name not in _OF_ONE_MOTION}
+    second = {name: option for name, option in remaining.items() if name not in _OF_FIRST}
+    later = {name: option for name, option in remaining.items() if option.table != "start"}
     beside = {name: option for name, option in second.items() if option.table != "start"}
     pairs = [(a, b) for a in IMPACTS for b in IMPACTS if a < b]
     words = "forces, prescribed joints and so on of the second robot"

@@ -93,17 +93,17 @@ def with_robot_parameters(
         InputError: a value is not physical; the message names the key.
     """
     values: dict[str, Any] = {}
-    others: list[FileParameter] = []
+    other_parameters: list[FileParameter] = []
     for parameter in parameters:
         with naming(parameter.place, "parameters: "):
             if size_of(system, parameter.name) is None:
-                others.append(parameter)
+                other_parameters.append(parameter)
                 continue
             refuse_vague(system, parameter.name)
             values[parameter.name] = parameter.value
             with_parameters(system, {parameter.name: parameter.value})
     with naming(place / "parameters", "parameters: "):
-        return with_parameters(system, values) if values else system, others
+        return with_parameters(system, values) if values else system, other_parameters
 
 
 def refuse_others(system: System, others: Sequence[FileParameter]) -> None:

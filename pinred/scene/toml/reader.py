@@ -179,7 +179,9 @@ class _Builder:
     def build(self, start: Mapping[str, Any] | None = None) -> SceneFile:
         """Return the contents of the file, with options that state the start if it does not."""
         options = options_in(self.document, FILE_OPTIONS)
-        options["parameters"] = {name: each.value for name, each in self.parameters.items()}
+        options["parameters"] = {
+            name: parameter.value for name, parameter in self.parameters.items()
+        }
         engine, check = options.pop("engine", ENGINES[0]), options.pop("check", False)
         file = options.pop("checkpoint", None)
         if "samples" in options:

@@ -247,8 +247,8 @@ class LoopKinematics:
         """Return the relative twist V and its rate, (6,), at zero joint acceleration."""
         a, b = self._ends[k]
         v, rate = self._data.v, self._data.a
-        V_a, rate_a = (X.actInv(a.placement.actInv(each[a.joint])) for each in (v, rate))
-        V_b, rate_b = (b.placement.actInv(each[b.joint]) for each in (v, rate))
+        V_a, rate_a = (X.actInv(a.placement.actInv(twists[a.joint])) for twists in (v, rate))
+        V_b, rate_b = (b.placement.actInv(twists[b.joint]) for twists in (v, rate))
         V = V_b - V_a
         return V.vector, (rate_b - rate_a + V.cross(V_a)).vector
 

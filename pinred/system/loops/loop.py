@@ -143,9 +143,9 @@ def parse_loops(loops: object) -> tuple[Constraint, ...]:
 
 
 def _loop_from_text(text: str) -> Loop:
-    first, _, rest = text.partition("=")
+    first, _, ends = text.partition("=")
     # Names of nested models contain "::".
-    second, _, kind = (part.replace("\0", "::") for part in rest.replace("::", "\0").partition(":"))
+    second, _, kind = (word.replace("\0", "::") for word in ends.replace("::", "\0").partition(":"))
     if not (first and second) or (kind and kind not in KINDS):
         raise InputError(
             f"loops: expected FRAME=FRAME or FRAME=FRAME:KIND with a kind of {', '.join(KINDS)}, "

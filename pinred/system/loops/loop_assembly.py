@@ -56,14 +56,14 @@ def assemble(
         step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
         factor, best = 1.0, gap
         while factor > 1e-6:
-            moved = system.space.integrate(x, factor * units * step)
-            best = loop_gaps(system, moved, length)
+            trial = system.space.integrate(x, factor * units * step)
+            best = loop_gaps(system, trial, length)
             if np.linalg.norm(best) < np.linalg.norm(gap):
                 break
             factor *= 0.5
         else:
             break
-        x, gap = moved, best
+        x, gap = trial, best
     return x, gap
 
 

@@ -121,7 +121,7 @@ def _obstacle(tree: Tree, k: int) -> str:
     joint = int(model.actuator_trnid[k, 0])
     root = () if tree.root is None else tree.root.joints
     is_compound = len(root) > 1 or (root and root[0].kind not in ("slide", "hinge"))
-    if is_compound and tree.world.joint_names[joint] in [part.name for part in root]:
+    if is_compound and tree.world.joint_names[joint] in [root_part.name for root_part in root]:
         return "several degrees of freedom of the base"
     if model.jnt_actgravcomp[joint] and model.jnt_actfrclimited[joint]:
         return "its limits also bound the gravity compensation"
@@ -153,7 +153,7 @@ def _actuator(tree: Tree, k: int, name: str) -> Actuator:
         force_limits=_pair(model.actuator_forcelimited[k], model.actuator_forcerange[k]),
         torque_limits=_pair(model.jnt_actfrclimited[joint], model.jnt_actfrcrange[joint]),
         in_parent=is_ball and int(model.actuator_trntype[k]) == int(mj.mjtTrn.mjTRN_JOINTINPARENT),
-        on_base=world.joint_names[joint] in [part.name for part in root],
+        on_base=world.joint_names[joint] in [root_part.name for root_part in root],
     )
 
 

@@ -213,7 +213,7 @@ def _laws(tree: Tree, constraint: Constraint) -> Sequence[Coupling | JointPolyno
 
 def held_joints(world: World) -> dict[str, float]:
     """Return the joints that active equality constraints hold, with their values."""
-    held = {
+    constant = {
         name: value
         for name, (value, _) in tendon_laws(world, proportional_couplings(world)).held.items()
     }
@@ -221,8 +221,8 @@ def held_joints(world: World) -> dict[str, float]:
         first, second = (*constraint.objects, -1)[:2]
         if constraint.kind == "joint" and second < 0 and first in world.all_joints:
             joint = joint_of(world, first)
-            held[joint.name] = joint.q0 + constraint.coefficients[0]
-    return held
+            constant[joint.name] = joint.q0 + constraint.coefficients[0]
+    return constant
 
 
 def locked_with_followers(

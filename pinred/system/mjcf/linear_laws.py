@@ -148,9 +148,9 @@ def tendon_laws(world: World, couplings: Sequence[Coupling]) -> TendonLaws:
         joints = joints_of(world, constraint)
         if not set(joints) <= set(world.all_joints):
             continue
-        known = [*couplings, *laws.couplings]
-        held = [Coupling(name, {}, value) for name, (value, _) in laws.held.items()]
-        independent = resolved([*known, *held], names)
+        all_couplings = [*couplings, *laws.couplings]
+        constants = [Coupling(name, {}, value) for name, (value, _) in laws.held.items()]
+        independent = resolved([*all_couplings, *constants], names)
         row, constant, size = _substituted(world, constraint, joints, independent)
         if not row:
             if abs(constant) > _ROUND_OFF * size:

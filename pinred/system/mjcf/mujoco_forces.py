@@ -122,12 +122,12 @@ def _forces_at(world: World, joint: int) -> Iterator[Force]:
     (most,) = numbers["FRICTIONLOSS"]
     is_ball = world.kind(joint) == "ball"
     if _is_active(world, {"SPRING": numbers["SPRING"]}) and not _is_plastic(world, joint):
-        rest = world.model.qpos_spring[world.model.jnt_qposadr[joint] :]
+        reference = world.model.qpos_spring[world.model.jnt_qposadr[joint] :]
         higher = _without_zeros(stiffer)
         if is_ball:
-            yield BallSpring(name, k, quaternion(rest), polynomial=higher)
+            yield BallSpring(name, k, quaternion(reference), polynomial=higher)
         else:
-            yield Spring(name, k, float(rest[0]), polynomial=higher)
+            yield Spring(name, k, float(reference[0]), polynomial=higher)
     for label in rate_labels(name, 3 if is_ball else 1):
         if _is_active(world, {"DAMPER": numbers["DAMPER"]}):
             yield Damper(label, d, polynomial=_without_zeros(thicker))

@@ -70,10 +70,10 @@ def read_mujoco(
     file_gravity = gravity_of(world)
     effective = file_gravity.effective if gravity is None else gravity
     if balls and lock:
-        whole = tree_of(world, {}, effective).model
-        requested, lock = lock, locked_hinges(whole, balls, lock)
-        balls = unlocked_balls(whole, balls, requested)
-        merge_of(whole, balls, kept=lock)  # Refuse balls of locked hinges.
+        model = tree_of(world, {}, effective).model
+        requested, lock = lock, locked_hinges(model, balls, lock)
+        balls = unlocked_balls(model, balls, requested)
+        merge_of(model, balls, kept=lock)  # Refuse balls of locked hinges.
     names = {world.joint_names[joint]: world.kind(joint) for joint in world.all_joints}
     ball_names = [name for name, kind in names.items() if kind == "ball"]
     values, attitudes = separate_attitudes(lock, ball_names, names)

@@ -138,8 +138,8 @@ def robot_in(model: Any, root: str | None = None, what: str = "the model") -> Wo
                 f"root: no body {quoted(root)} in the world; the bodies are {shortened(names, 20)}"
             )
         top = at_top[root]
-    others = tuple(body_names[body] for body in moving if body not in trees[top])
-    return World(model, top, trees[top], others, body_names, joint_names)
+    other_bodies = tuple(body_names[body] for body in moving if body not in trees[top])
+    return World(model, top, trees[top], other_bodies, body_names, joint_names)
 
 
 def _children(model: Any) -> list[list[int]]:

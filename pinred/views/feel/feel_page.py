@@ -280,9 +280,9 @@ def _function(name: str, inputs: list[ca.SX], output: ca.SX) -> ca.Function:
     """Return a Function of all inputs in one column."""
     y = ca.SX.sym("y", sum(entry.numel() for entry in inputs))
     ends = np.cumsum([0, *(entry.numel() for entry in inputs)])
-    parts = [y[int(a) : int(b)] for a, b in pairwise(ends)]
+    outputs = [y[int(a) : int(b)] for a, b in pairwise(ends)]
     inner = ca.Function(name, inputs, [ca.densify(output)], {"cse": True})
-    return ca.Function(name, [y], [inner(*parts)], {"cse": True})
+    return ca.Function(name, [y], [inner(*outputs)], {"cse": True})
 
 
 def loop_graph(
@@ -395,14 +395,14 @@ class FeltRobot(FrozenArrays):
         """
         rng, start = np.random.default_rng(0), self.rest[self.independent]
         low, high = self.low[self.independent], self.high[self.independent]
-        found = [start]
+        shapes = [start]
         for u in rng.uniform(low, high, (count - 1, self.dim)):
-            for part in _SHRINKING:
+            for fraction in _SHRINKING:
                 with suppress(PinredError):  # the loops do not close there
-                    self.shape(start + part * (u - start))
-                    found.append(start + part * (u - start))
+                    self.shape(start + fraction * (u - start))
+                    shapes.append(start + fraction * (u - start))
                     break
-        return found
+        return shapes
 
 
 def felt_robot(source: System | Connection) -> FeltRobot:
@@ -426,25 +426,25 @@ def felt_robot(source: System | Connection) -> FeltRobot:
     if not connection.m:
         raise InputError(f"feel: '{system.name}' has no joints to move")
     if chart is None:
-        moved = tree = connection.in_chart()
-        rest, independent = np.zeros(system.m), np.arange(system.m, dtype=np.intp)
+        connection_of_moves = tree = connection.in_chart()
+        rest_shape, independent = np.zeros(system.m), np.arange(system.m, dtype=np.intp)
     else:
-        moved, (tree, rest) = connection, _open_tree(system)
+        connection_of_moves, (tree, rest_shape) = connection, _open_tree(system)
         independent = chart.independent.copy()
     low, high = _limits(tree, system)
     if chart is None:
-        rest = np.clip(rest, low, high)
+        rest_shape = np.clip(rest_shape, low, high)
     else:  # the assembled shape may be beyond the limits
-        low, high = np.minimum(low, rest), np.maximum(high, rest)
+        low, high = np.minimum(low, rest_shape), np.maximum(high, rest_shape)
     return FeltRobot(
         connection=tree,
-        moved=moved,
+        moved=connection_of_moves,
         system=system,
         chart=chart,
         independent=independent,
         names=tuple(system.space.names[k] for k in independent),
         units=tuple(system.units[k] for k in independent),
-        rest=rest,
+        rest=rest_shape,
         low=low,
         high=high,
     )
@@ -454,14 +454,14 @@ def _open_tree(system: System) -> tuple[Connection, Array]:
     """Return the connection of the tree of a robot with loops, and a closed shape, (m,)."""
     assert system.closure is not None
     tree, closed = system.open_tree(), np.asarray(system.closure.x)
-    centre, rest = np.array(system.space.neutral), np.zeros(system.m)
+    centre, rest_shape = np.array(system.space.neutral), np.zeros(system.m)
     for joint in system.space.joints:
         if joint.kind.is_ball:
             centre[joint.x] = closed[joint.x]
         else:
-            rest[joint.v] = closed[joint.x]
+            rest_shape[joint.v] = closed[joint.x]
     connection = Connection.mechanical(tree)
-    return connection.in_chart(centre if system.space.balls else None), rest
+    return connection.in_chart(centre if system.space.balls else None), rest_shape
 
 
 def _limits(connection: Connection, system: System) -> tuple[Array, Array]:
@@ -612,17 +612,17 @@ def _picture(robot: FeltRobot, bodies: Bodies) -> dict[str, Any]:
         com[k] = pin.centerOfMass(model, data, configuration)
         placements[k] = [pin.SE3ToXYZQUAT(place) for place in data.oMi]
     # The centre of mass starts at the origin, so momenta about both are equal.
-    along = S[:3, : group.linear]
-    shift = -along @ along.T @ root.actInv(com[0])
+    axes = S[:3, : group.linear]
+    shift = -axes @ axes.T @ root.actInv(com[0])
     spatial = _momentum(robot) if connection.form.momentum else None
-    rest = conserved_momentum(system, q[:1], np.zeros((1, model.nv)))
+    momentum = conserved_momentum(system, q[:1], np.zeros((1, model.nv)))
     twist = np.zeros(6) if spatial is None else S @ spatial
     vector = root.rotation @ (twist[3:] if group.turns else twist[:3])
     film = Playback(
         system=system, t=np.arange(len(q), dtype=float), x=shapes, xdot=shapes[:, : system.m] * 0.0,
         placements=placements - np.pad(com[:, None], ((0, 0), (0, 0), (0, 4))), com=0.0 * com,
         ellipsoid=np.zeros((len(q), 3, 3)), energy=np.zeros(len(q)), sphere=None, ghost=None,
-        momentum=Momentum(np.tile(vector, (len(q), 1)), 0.0 * com, rest.words, rest.unit),
+        momentum=Momentum(np.tile(vector, (len(q), 1)), 0.0 * com, momentum.words, momentum.unit),
     )  # fmt: skip
     return {
         **plain_fields(frame(film, bodies)),
@@ -631,7 +631,7 @@ def _picture(robot: FeltRobot, bodies: Bodies) -> dict[str, Any]:
         "momentum": {
             "spatial": None if spatial is None else twist.tolist(),
             "vector": vector.tolist(),
-            "words": f"{np.linalg.norm(vector):.3g} {rest.unit}, {rest.words}",
+            "words": f"{np.linalg.norm(vector):.3g} {momentum.unit}, {momentum.words}",
             "pivoted": bool(group.turns) and not group.turns_about_com,
         },
     }

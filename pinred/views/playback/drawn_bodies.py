@@ -177,13 +177,13 @@ def _shapes_of_parts(system: System, derivation: Derivation, folders: Sequence[s
     drawn = set[int]()  # joints with shapes
     new = take_apart(system)
     prefixes = ("", derivation.arguments.get("prefix", ""))[: len(derivation.systems)]
-    for part, prefix in zip(derivation.systems, prefixes, strict=True):
-        bodies, old = drawn_bodies(part, meshes=folders or True), take_apart(part)
-        own = {joint: name for name, (joint, _) in reversed([*old.places.items()])}
+    for component, prefix in zip(derivation.systems, prefixes, strict=True):
+        bodies, old = drawn_bodies(component, meshes=folders or True), take_apart(component)
+        link_of_joint = {joint: name for name, (joint, _) in reversed([*old.places.items()])}
         if bodies.note:
-            notes.append(f"{part.name}: {bodies.note}")
+            notes.append(f"{component.name}: {bodies.note}")
         for solid in bodies.solids:
-            link = solid.link if solid.link in old.places else own[solid.joint]
+            link = solid.link if solid.link in old.places else link_of_joint[solid.joint]
             if prefix + link not in new.places or (bodies.note and not solid.link):
                 continue
             joint, at = new.places[prefix + link]
@@ -213,11 +213,11 @@ def _from_geometry(system: System, shapes: Shapes) -> Bodies:
         joint, placement = _joint_of(system, raw, entry)
         solid_kind, size = _primitive(entry.geometry)
         if entry.name in shapes.meshes or solid_kind == "mesh":
-            found = _mesh_of(entry, shapes.meshes)
-            if found is None:
+            key_and_mesh = _mesh_of(entry, shapes.meshes)
+            if key_and_mesh is None:
                 skipped.append(joint)
                 continue
-            key, mesh = found
+            key, mesh = key_and_mesh
             if meshes.setdefault(key, len(drawn)) == len(drawn):
                 drawn.append(mesh())
             solid_kind, size = "mesh", (float(meshes[key]),)

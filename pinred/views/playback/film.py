@@ -124,9 +124,9 @@ def _announcing(
         if not began:  # The first frame includes the start of the page.
             began.append(clock())
         elif frames == 1 + _MEASURED:
-            left = (clock() - began[0]) * (count - frames) / _MEASURED
-            if left > _PATIENCE:
-                say(f"the {count} frames of the film take about {left:.0f} s")
+            remaining = (clock() - began[0]) * (count - frames) / _MEASURED
+            if remaining > _PATIENCE:
+                say(f"the {count} frames of the film take about {remaining:.0f} s")
         if progress is not None:
             progress(part)
 

@@ -163,7 +163,7 @@ class Frames:
         right, down, ahead = self._view[:3] @ (at - self._view[3])
         at_pixel = self._view[4, 1:] + self._view[4, 0] * np.array([right, down]) / ahead
         column, row = float(at_pixel[0]), float(at_pixel[1])
-        red, green, blue = (round(255.0 * part) for part in node.parts[0].colour[:3])
+        red, green, blue = (round(255.0 * channel) for channel in node.parts[0].colour[:3])
         picture = _written(node.label, 22, (red, green, blue))
         middle = (round(row - 0.5 * picture.shape[0]), round(column - 0.5 * picture.shape[1]))
         draw_picture(self._samples, picture, *middle)
@@ -176,12 +176,12 @@ class Frames:
             self._draw_lines(framing.grid + framing.wide * lines, opacities, _GRID, False)
             return
         by = com - framing.middle
-        along = framing.normal * (by @ framing.normal)
+        on_normal = framing.normal * (by @ framing.normal)
         wall = abs(framing.normal[2]) < 0.5
         row, column = _grid_axes(framing)
         steps = framing.cell * np.round([by @ row / framing.cell, by @ column / framing.cell])
         steps = steps @ np.array([row, column])
-        at = framing.grid + steps + (along if wall else 0.0)
+        at = framing.grid + steps + (on_normal if wall else 0.0)
         self._draw_lines(at + lines, opacities, _GRID, False)
 
     def _draw_cards(self, t: float) -> None:
@@ -279,7 +279,9 @@ def _grid_lines(framing: Any) -> tuple[Array, Array]:
     row, column = _grid_axes(framing)
     n = framing.cells
     values = framing.cell * (np.arange(n + 1) - 0.5 * n)
-    across, begin = (part.ravel() for part in np.meshgrid(values, values[:-1], indexing="ij"))
+    across, begin = (
+        values_of_axis.ravel() for values_of_axis in np.meshgrid(values, values[:-1], indexing="ij")
+    )
     one = np.stack([across, begin], axis=1), np.stack([across, begin + framing.cell], axis=1)
     flat = np.concatenate([np.stack(one, axis=1), np.stack(one, axis=1)[..., ::-1]])
     middle = flat.mean(axis=1)

@@ -69,8 +69,8 @@ def assemble(template: str, head: Mapping[str, Any], blob: Blob, scripts: Iterab
         "%SCRIPT%": "".join(scripts),
         "%LOADER%": resource("loader.js"),
     }
-    parts = re.split("(%[A-Z]+%)", template)
-    return "".join(contents.get(part, part) for part in parts).encode("utf-8")
+    pieces = re.split("(%[A-Z]+%)", template)
+    return "".join(contents.get(piece, piece) for piece in pieces).encode("utf-8")
 
 
 @Wait("writes the page of a motion")

@@ -334,5 +334,5 @@ def momentum_sphere(
             "momentum (momentum=, --momentum), or leave the option out"
         )
     joint = 1 + names.index(body)
-    turned = np.einsum("fji,fj->fi", rotation(placements[:, joint, 3:]), momentum)
-    return MomentumSphere(joint=joint, body=body, path=turned / largest)
+    at_base = np.einsum("fji,fj->fi", rotation(placements[:, joint, 3:]), momentum)
+    return MomentumSphere(joint=joint, body=body, path=at_base / largest)

@@ -129,9 +129,9 @@ def _overlays(film: Playback, framing: Framing) -> Iterator[Node]:
         placements = film.placements[:, film.sphere.joint].copy()
         placements[:, :3] = film.momentum.tail
         size = _ARROW_LENGTH * radius
-        part = _solid("sphere", (size,), (*_SPHERE, 0.08))
+        sphere = _solid("sphere", (size,), (*_SPHERE, 0.08))
         path = Line(size * film.sphere.path, (*_SPHERE, 1.0))
-        yield Node(("overlays", "momentum sphere"), placements, (part,), (path,))
+        yield Node(("overlays", "momentum sphere"), placements, (sphere,), (path,))
     yield Node(
         ("overlays", "base frame"), film.placements[:, 1], _axes(0.5 * radius, 0.013 * radius),
         order=_BEHIND,
@@ -139,20 +139,22 @@ def _overlays(film: Playback, framing: Framing) -> Iterator[Node]:
     for ball in system.space.balls:
         joint = system.sorted_model.getJointId(ball.name)
         dot = _solid("sphere", (0.035 * radius,), (*PURPLE, 1.0), lit=False)
-        parts = (*_axes(0.13 * radius, 0.008 * radius), dot)
+        bodies_of_mark = (*_axes(0.13 * radius, 0.008 * radius), dot)
         name = f"ball joint {ball.name}"
-        yield Node(("overlays", name), film.placements[:, joint], parts, order=_BEHIND)
+        yield Node(("overlays", name), film.placements[:, joint], bodies_of_mark, order=_BEHIND)
     if (arrow := momentum_arrow(film, framing)) is not None:
         look = (0.016 * radius, 0.05 * radius, 0.17 * radius, ORANGE, _ABOVE)
         yield from _arrow("momentum", arrow, *look)
     if system.gravity.any():
-        along = 0.5 * radius * system.gravity / np.linalg.norm(system.gravity)
+        arrow_vector = 0.5 * radius * system.gravity / np.linalg.norm(system.gravity)
         middle = film.com + framing.gravity_at
-        arrow = Arrow(middle - 0.5 * along, np.broadcast_to(along, middle.shape))
+        arrow = Arrow(middle - 0.5 * arrow_vector, np.broadcast_to(arrow_vector, middle.shape))
         look = (0.012 * radius, 0.048 * radius, 0.15 * radius, _BROWN, _ABOVE)
         yield from _arrow("gravity", arrow, *look)
         dot = _solid("sphere", (1e-6 * radius,), (*_BROWN, 1.0), lit=False)
-        yield Node(("overlays", "g"), _at(middle - 0.65 * along), (dot,), order=_ABOVE, label="g")
+        yield Node(
+            ("overlays", "g"), _at(middle - 0.65 * arrow_vector), (dot,), order=_ABOVE, label="g"
+        )
     trail = Line(film.com, (*BLACK, 1.0), grows=True)
     yield Node(("overlays", "trail"), _at(np.zeros_like(film.com)), lines=(trail,), order=_ABOVE)
     dot = _solid("sphere", (0.03 * radius,), (*BLACK, 1.0), lit=False)
@@ -221,11 +223,13 @@ def _quaternion_to(vector: Array) -> Array:
 
 def _axes(length: float, thin: float) -> tuple[Part, ...]:
     """Return red, green and blue rods along the axes of a node."""
-    parts = []
+    cylinders = []
     for axis, colour in zip(np.eye(3), _AXES, strict=True):
         placement = np.concatenate([0.5 * length * axis, _quaternion_to(axis)])
-        parts.append(_solid("cylinder", (thin, 0.5 * length), (*colour, 1.0), placement, lit=False))
-    return tuple(parts)
+        cylinders.append(
+            _solid("cylinder", (thin, 0.5 * length), (*colour, 1.0), placement, lit=False)
+        )
+    return tuple(cylinders)
 
 
 def _circles(colour: Colour) -> tuple[Line, ...]:
@@ -302,8 +306,8 @@ def _robot(
     for joint, joint_name in enumerate(film.system.sorted_model.names):
         solids = [solid for solid in bodies.solids if solid.joint == joint]
         if solids:
-            parts = tuple(_part(solid, bodies.meshes, colour) for solid in solids)
-            yield Node((name, f"{joint} {joint_name}"), placements[:, joint], parts)
+            solids_of_joint = tuple(_part(solid, bodies.meshes, colour) for solid in solids)
+            yield Node((name, f"{joint} {joint_name}"), placements[:, joint], solids_of_joint)
 
 
 def _part(solid: Solid, meshes: Sequence[Mesh], colour: Colour | None = None) -> Part:

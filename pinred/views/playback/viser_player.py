@@ -258,4 +258,4 @@ def _draw_grid(scene: Any, framing: Framing) -> None:
 
 
 def _bytes(colour: tuple[float, ...]) -> tuple[int, ...]:
-    return tuple(round(255.0 * part) for part in colour)
+    return tuple(round(255.0 * channel) for channel in colour)

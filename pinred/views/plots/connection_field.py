@@ -147,8 +147,8 @@ def _enclosed(source: Connection, gait: Gait, pair: list[int], part: str, which:
     a, b = pair
     area = 0.5 * gait.period * float(np.mean(x[:, a] * xdot[:, b] - x[:, b] * xdot[:, a]))
     text = f"\nsigned area of the gait {area:.4g}"
-    others = [k for k in range(source.m) if k not in pair]
-    if part == "connection" or np.ptp(x[:, others], axis=0).max(initial=0.0) > 0.0:
+    fixed = [k for k in range(source.m) if k not in pair]
+    if part == "connection" or np.ptp(x[:, fixed], axis=0).max(initial=0.0) > 0.0:
         return text
     # Integrate over the cone from the centre of the path, which has the gait's signed area.
     rho, weights = np.polynomial.legendre.leggauss(16)

@@ -92,12 +92,12 @@ def _motion_of(source: Phase) -> str:
     """Describe the motion of the base in a cycle: its rotation and displacement, if not zero."""
     group, angle = source.group, float(source.screw.angle)
     distance = float(np.linalg.norm(source.pose[: group.linear]))
-    parts = []
+    phrases = []
     if abs(angle) > max(float(source.error.rotation), _STILL):
-        parts.append(f"{np.degrees(angle):.4g}°")
+        phrases.append(f"{np.degrees(angle):.4g}°")
     if distance > max(float(source.error.translation), _STILL):
-        parts.append(f"{distance:.4g} m")
-    return " and ".join(parts) + " a cycle" if parts else "returns after each cycle"
+        phrases.append(f"{distance:.4g} m")
+    return " and ".join(phrases) + " a cycle" if phrases else "returns after each cycle"
 
 
 def _arrows(axes: Axes, places: Array, angles: Array, path: Array) -> None:
@@ -255,11 +255,11 @@ def _changes(group: Group, poses: Array, what: str) -> tuple[Array, list[str]]:
     Returns:
         The changes, (T, n), and their names; none if the group does not move so.
     """
-    moved = group.compose(group.inverse(poses[0])[None], poses)
+    displacement = group.compose(group.inverse(poses[0])[None], poses)
     if what == "position":
-        return moved[:, : group.linear], list(group.pose_names[: group.linear])
+        return displacement[:, : group.linear], list(group.pose_names[: group.linear])
     if group.turns == 1:
         return np.degrees(poses[:, -1:] - poses[0, -1]), ["θ"]
     if not group.turns:
-        return moved[:, :0], []
-    return np.degrees(unwrapped_rotation_vectors(moved[:, -4:])), ["θx", "θy", "θz"]
+        return displacement[:, :0], []
+    return np.degrees(unwrapped_rotation_vectors(displacement[:, -4:])), ["θx", "θy", "θz"]

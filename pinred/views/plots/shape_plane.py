@@ -129,17 +129,17 @@ def mark_start(axes: Any, *path: Array) -> None:
 
 def title_at(names: Labels, joints: Sequence[int], at: Array) -> str:
     """Format the values of the fixed joints for a title; "" if no joint is fixed."""
-    others = [k for k in range(len(names.joints)) if k not in joints]
-    if not others:
+    fixed = [k for k in range(len(names.joints)) if k not in joints]
+    if not fixed:
         return ""
     # Many zeros are counted, not listed.
-    listed = others if len(others) <= _LISTED else [k for k in others if abs(at[k]) > NONE]
-    parts = [f"{names.joints[k]} = {at[k]:.3g} {names.units[k]}" for k in listed[:_MOST_LISTED]]
-    if further := len(listed) - len(parts):
-        parts.append(f"{further} joint{'s' * (further > 1)} more")
-    if zeros := len(others) - len(listed):
-        parts.append(f"{zeros} {'other ' * bool(parts)}joint{'s' * (zeros > 1)} at 0")
-    return "drawn for " + ", ".join(parts)
+    listed = fixed if len(fixed) <= _LISTED else [k for k in fixed if abs(at[k]) > NONE]
+    phrases = [f"{names.joints[k]} = {at[k]:.3g} {names.units[k]}" for k in listed[:_MOST_LISTED]]
+    if further := len(listed) - len(phrases):
+        phrases.append(f"{further} joint{'s' * (further > 1)} more")
+    if zeros := len(fixed) - len(listed):
+        phrases.append(f"{zeros} {'other ' * bool(phrases)}joint{'s' * (zeros > 1)} at 0")
+    return "drawn for " + ", ".join(phrases)
 
 
 def draw_field(

@@ -193,14 +193,14 @@ def _chosen(
 
 
 def _numbers(source: Any, names: Sequence[str] | None) -> list[str]:
-    known = [str(name) for name, values in source.coords.items() if values.dims == ("point",)]
+    varied = [str(name) for name, values in source.coords.items() if values.dims == ("point",)]
     for name in names or ():
-        if name not in known:
+        if name not in varied:
             raise InputError(
-                f"numbers: there is no {quoted(str(name))}; {nearest(str(name), known)}the varied "
-                f"numbers are {listed(known)}"
+                f"numbers: there is no {quoted(str(name))}; {nearest(str(name), varied)}the varied "
+                f"numbers are {listed(varied)}"
             )
-    return list(names or known)
+    return list(names or varied)
 
 
 def _edges(column: Array) -> Array:

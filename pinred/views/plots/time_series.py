@@ -174,8 +174,8 @@ def limits(motion: MotionSource, *, joints: Sequence[str | int] | None = None) -
                 axes.plot(motion.t, column, color="#AAAAAA", linewidth=0.7)
         for style, k in enumerate(named):
             axes.plot(motion.t, share[:, k], label=shown(entries[k]), **line(style))
-        if others := len(entries) - len(named):
-            axes.plot([], [], color="#AAAAAA", linewidth=0.7, label=f"{others} others")
+        if unnamed := len(entries) - len(named):
+            axes.plot([], [], color="#AAAAAA", linewidth=0.7, label=f"{unnamed} others")
         for end in (-1.0, 1.0):
             axes.axhline(end, color="#888888", linewidth=1.0)
         axes.set_ylabel(f"{quantity} / limit")
@@ -231,8 +231,8 @@ def base(motion: MotionSource, *, attitude: Attitudes = "quaternion") -> Figure:
     if group.turns == 3:
         pose = continuous(pose)
     if attitude != "quaternion" and group.turns:
-        turned, label, words = _in_degrees(pose[:, k:], attitude)
-        pose, entries = np.column_stack([pose[:, :k], turned]), (*entries[:k], *words)
+        angles, label, words = _in_degrees(pose[:, k:], attitude)
+        pose, entries = np.column_stack([pose[:, :k], angles]), (*entries[:k], *words)
     title = f"{names.robot}: pose of the base ({names.group})"
     quantities = {"position [m]": slice(0, k), label: slice(k, None)}
     return _quantities(title, motion.t, pose, entries, quantities)[0]
@@ -269,12 +269,12 @@ def _quantities(
     Returns:
         The figure and its panels.
     """
-    columns = {quantity: part for quantity, part in columns.items() if names[part]}
+    columns = {quantity: place for quantity, place in columns.items() if names[place]}
     figure, panels = over_time(title, len(columns) + more)
-    for axes, (quantity, part) in zip(panels, columns.items(), strict=False):
-        entries = names[part]
+    for axes, (quantity, place) in zip(panels, columns.items(), strict=False):
+        entries = names[place]
         label = quantity if len(entries) > 1 else f"{entries[0]}: {quantity}"
-        _lines(axes, t, values[:, part], entries, label)
+        _lines(axes, t, values[:, place], entries, label)
     return figure, panels
 
 
