@@ -138,7 +138,7 @@ def bundled_folder() -> Path:
 
 @cache
 def bundled_robots() -> Mapping[str, BundledRobot]:
-    """Return the bundled robots by name; the table is read once in a process."""
+    """Return the bundled robots by name.  The file is read once."""
     folder = bundled_folder()
     table = tomllib.loads((folder / "robots.toml").read_text(encoding="utf-8"))
     robots = {}

@@ -79,7 +79,7 @@ def test_sleeping_gyrostat_is_stable_above_threshold(momentum: float) -> None:
     system = heavy_gyrostat()
     cyclic = {"wheel": momentum}
     low, high = 0.9 * THRESHOLD, 1.1 * THRESHOLD
-    for _ in range(30):
+    for _ in range(26):
         middle = 0.5 * (low + high)
         equilibrium = upright_equilibrium(system, middle, cyclic=cyclic)
         low, high = (low, middle) if equilibrium.verdict == "stable" else (middle, high)

@@ -82,7 +82,7 @@ def closed_form(error: float, rate: float, kp: float, kd: float, t: Array) -> Ar
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("group", GROUPS)
-@pytest.mark.sampled
+@pytest.mark.sampled(5)
 def test_computed_torque_error_equals_closed_form(group: str, engine: Engine) -> None:
     """ë + kd ė + kp e = 0 per joint, with springs, dampers, gravity and prescribed joints."""
     # About the vertical, gravity acts on the shape.
