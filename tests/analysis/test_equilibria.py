@@ -203,7 +203,7 @@ def test_gyrostat_matches_closed_form(rate: float) -> None:
 
 
 def test_gyrostat_verdict_changes_at_closed_form_thresholds() -> None:
-    """Thresholds are λ = I₁ or I₃: h = Ω (I_k − I₂), Ω = J/I_k; bisection agrees to 1e-10."""
+    """Thresholds are λ = I₁ or I₃: h = Ω (I_k − I₂), Ω = J/I_k, to a fraction of 1e-10."""
     I, J, spin = (0.9, 1.0, 1.3), 1.5, 0.03
     second = Points(np.zeros((1, 0)), np.array([[0.0, 1.0, 0.0]]))
     problem = problem_of(
@@ -213,17 +213,15 @@ def test_gyrostat_verdict_changes_at_closed_form_thresholds() -> None:
         omega = J / I[k]
         rate = omega * (I[k] - I[1]) / spin
         momentum = spin * (omega + rate)
-        low, high = sorted([momentum - 0.05 * rate * spin, momentum + 0.05 * rate * spin])
-        if k == 2:  # The unstable range is between the two thresholds.
-            low, high = high, low
-        for _ in range(33):
-            middle = 0.5 * (low + high)
+        for side in (-1.0, 1.0):
+            beside = momentum + side * 1e-10 * abs(rate) * spin
             equilibrium = equilibrium_at(
-                replace(problem, cyclic_momenta=np.array([middle])), second, J
+                replace(problem, cyclic_momenta=np.array([beside])), second, J
             )
-            low, high = (low, middle) if equilibrium.verdict == "unstable" else (middle, high)
-        assert equilibrium.xdot[0] == pytest.approx(rate, rel=1e-10)
-        assert equilibrium.xi[1] == pytest.approx(omega, rel=1e-10)
+            # The unstable range is between the two thresholds.
+            assert (equilibrium.verdict == "unstable") == (side == 1.0 - k)
+            assert equilibrium.xdot[0] == pytest.approx(rate, rel=2e-10)
+            assert equilibrium.xi[1] == pytest.approx(omega, rel=2e-10)
 
 
 def test_dual_spin_satellite_matches_closed_form() -> None:
