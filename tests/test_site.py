@@ -39,7 +39,7 @@ def build(folder: Path, builder: str = "html") -> None:
     assert done.returncode == 0, done.stderr[-4000:]
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand  # The workflow of the site builds every page with warnings as errors.
 def test_pages_are_read_without_warnings(tmp_path: Path) -> None:
     """All pages and links are resolved; every warning is an error."""
     build(tmp_path / "site", "dummy")
@@ -99,10 +99,15 @@ WRITTEN = [
     *(DOCS / f"{name}.md" for name in ("start", "api", "comparison", "dynamics", "feel")),
 ]
 PAGES = [ROOT / "README.md", *site_pages.sources()]
+LONG = ("land_within_limits", "short_examples", "turn_base")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", WRITTEN, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=[pytest.mark.by_hand] * (path.stem in LONG)) for path in WRITTEN],
+    ids=lambda path: path.stem,
+)
 def test_code_of_page_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The Python blocks of a page run in order, with their assertions."""
     if path.stem == "legged_robots" and not has_example_robots():

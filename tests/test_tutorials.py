@@ -286,6 +286,7 @@ def test_tutorial_hand_that_stays_put_prints_reference_values(
     assert output.text.count("verdict: PASSED") == 1
 
 
+@pytest.mark.by_hand
 def test_tutorial_identification_prints_reference_values(
     run_tutorial: Callable[[str], Output],
 ) -> None:
@@ -508,6 +509,7 @@ def test_tutorial_parallel_legs_prints_reference_values(
     assert output.text.count("verdict: PASSED") == 1
 
 
+@pytest.mark.by_hand
 def test_tutorial_catching_a_satellite_prints_reference_values(
     run_tutorial: Callable[[str], Output],
 ) -> None:

@@ -44,7 +44,7 @@ def test_grid_with_balls_equals_pinocchio(seed: int, group: str) -> None:
 
 def test_connection_with_balls_equals_reduction() -> None:
     """A, I, M, B, both terms of B, and ξ = −A σ at one shape, and labels of both sizes."""
-    system = ball_tree(3, 3)
+    system = ball_tree(3, 2)
     A, red = pinred.Connection.mechanical(system), pinred.Reduction(system)
     (x,), sigma = shapes_of(system, 1), np.random.default_rng(1).normal(size=system.m)
     assert (A.nx, A.m, A.joints) == (system.nx, system.m, system.shape_names)
@@ -59,7 +59,7 @@ def test_connection_with_balls_equals_reduction() -> None:
 
 def test_derivatives_with_balls_are_along_frame() -> None:
     """Slopes of ξ, of σᵀMσ and of I ω equal Pinocchio's derivatives along the frame."""
-    system = ball_tree(3, 3)
+    system = ball_tree(3, 2)
     A, at = pinred.Connection.mechanical(system), pinred.Reduction(system).at
     (x,), (r, m) = shapes_of(system, 1), (system.r, system.m)
     rng = np.random.default_rng(1)
@@ -75,7 +75,7 @@ def test_derivatives_with_balls_are_along_frame() -> None:
 
 def test_covariant_forces_with_balls_are_torques_at_zero_momentum() -> None:
     """The torques of a prescribed motion σ, σ̇ at zero momentum, from Pinocchio's RNEA."""
-    system = ball_tree(3, 3)
+    system = ball_tree(3, 2)
     A, red = pinred.Connection.mechanical(system), pinred.Reduction(system)
     (x,), (r, m) = shapes_of(system, 1), (system.r, system.m)
     sigma, sigmadot = np.random.default_rng(2).normal(size=(2, m))

@@ -54,7 +54,7 @@ def test_pitchfork_of_centred_governor() -> None:
     """With the hinge on the axis, J_c = I₀ √(m g l/ΔI). Above it two mirror images lift."""
     wide = MASS * LENGTH**2 + WIDE - SLIM
     critical = (HUB + SLIM) * np.sqrt(MASS * G * LENGTH / wide)
-    branches = pinred.branches(governor(0.0), momentum=(0.2 * critical, 2.0 * critical), starts=40)
+    branches = pinred.branches(governor(0.0), momentum=(0.6 * critical, 1.4 * critical), starts=15)
     hanging = [p for p in branches.pitchforks if abs(p.x[0]) < 1.0]
     assert len(hanging) == 1
     assert hanging[0].momentum == pytest.approx(critical, rel=1e-10)
@@ -84,7 +84,7 @@ def test_fold_of_offset_governor() -> None:
     )  # fmt: skip
     critical = np.sqrt(best.fun)
     branches = pinred.branches(
-        governor(offset), momentum=(0.5 * critical, 2.0 * critical), starts=40
+        governor(offset), momentum=(0.8 * critical, 1.4 * critical), starts=15
     )
     assert len(branches.folds) == 1
     (fold,) = branches.folds

@@ -88,7 +88,7 @@ def turned_by_pinocchio(start: float) -> Array:
         c, s = np.cos(pose[2]), np.sin(pose[2])
         return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]])
 
-    end = solve_ivp(rate, (0.0, 1.0), np.zeros(3), "DOP853", rtol=1e-11, atol=1e-12)
+    end = solve_ivp(rate, (0.0, 1.0), np.zeros(3), "DOP853", rtol=1e-10, atol=1e-11)
     return np.asarray(end.y[:, -1])
 
 
@@ -109,7 +109,10 @@ def test_shape_at_a_dead_point_has_other_independent_joints() -> None:
     assert red.at(closed_form(np.array([near + 0.5]))[0]).independent == ("rocker",)
 
 
-@pytest.mark.parametrize("joint", ["crank", "coupler", "rocker"])
+@pytest.mark.parametrize(
+    "joint",
+    ["rocker", *(pytest.param(name, marks=pytest.mark.by_hand) for name in ("crank", "coupler"))],
+)
 def test_phase_of_a_full_turn_does_not_depend_on_the_independent_joint(joint: str) -> None:
     """A gait of all joints passes the dead points of each of them."""
     connection = by(crank_rocker(), joint)

@@ -201,7 +201,9 @@ def swimming(system: pinred.System, kind: str) -> pinred.Connection:
     return pinred.Connection.kinematic(system, wheels, independent=chosen)
 
 
-@pytest.mark.parametrize("kind", ["viscous", "fluid", "kinematic"])
+@pytest.mark.parametrize(
+    "kind", ["viscous", "kinematic", pytest.param("fluid", marks=pytest.mark.by_hand)]
+)
 def test_connections_of_fluids_and_wheels_are_pulled_back(kind: str) -> None:
     """A and M are those of the open tree along G, which differences of closed shapes give."""
     system = linkage()

@@ -90,7 +90,7 @@ SUPPORTED: dict[str, Call] = {
     "land": lambda: pinred.land(motion(), "base"),
     "chain": lambda: pinred.chain(motion(), pinred.land(motion(), "base", contact="flat")),
 }
-SLOW = ("optimise_gait", "reorient")
+SLOW = ("optimise_gait", "reorient", "relative_equilibria")
 REFUSED: dict[str, Call] = {
     "Reduction": lambda: pinred.Reduction(linkage()),
     "branches": lambda: pinred.branches(linkage(), momentum=[0.0, 1.0]),

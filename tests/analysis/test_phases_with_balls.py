@@ -125,7 +125,7 @@ def test_full_turn_of_ball_closes() -> None:
 
 def test_turn_that_opens_ball_is_refused_by_name() -> None:
     """A turn about one axis restores no ball that starts off this axis; nor does a hinge there."""
-    system = ball_tree(3, 3)
+    system = ball_tree(3, 2)
     A = pinred.Connection.mechanical(system)
     start = np.zeros(system.m)
     start[0] = 0.1
@@ -139,7 +139,7 @@ def test_turn_that_opens_ball_is_refused_by_name() -> None:
 
 def test_slopes_of_phase_with_balls_equal_differences() -> None:
     """Derivatives of pose, length and action by all Fourier coefficients, about a centre."""
-    system = ball_tree(3, 3)
+    system = ball_tree(3, 2)
     A = pinred.Connection.mechanical(system).in_chart({"j0": [0.2, 0.9, -0.4]})
     gait, rng = random_gait(np.random.default_rng(1), system.m), np.random.default_rng(2)
     slopes, series = pinred.phase_slopes(A, gait), gait.series

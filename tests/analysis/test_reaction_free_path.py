@@ -42,7 +42,10 @@ def base_twist(system: pinred.System, x: Array, xdot: Array) -> Array:
 
 @pytest.mark.parametrize(
     ("arm", "start", "direction", "length"),
-    [(satellite, START, FIRST, 0.3), (planar, [0.7, -0.9], None, 2.0)],
+    [
+        (satellite, START, FIRST, 0.3),
+        pytest.param(planar, [0.7, -0.9], None, 2.0, marks=pytest.mark.by_hand),
+    ],
 )
 def test_base_keeps_its_attitude_along_the_path(
     arm: Any, start: Any, direction: Any, length: float

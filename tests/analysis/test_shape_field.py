@@ -71,11 +71,16 @@ def test_grid_curvature_equals_rnea_derivatives(case: Case) -> None:
     np.testing.assert_array_equal(B, -np.swapaxes(B, 1, 2))
 
 
+QUICK = ("cartpole", "falling_cat_ball", "reaction_wheel_satellite", "rigid_body", "solo12")
 TREES = [name for name, robot in sorted(bundled_robots().items()) if not robot.loops]
 
 
 @pytest.mark.parametrize(
-    "name", [*TREES, "solo12", pytest.param("talos", marks=pytest.mark.by_hand)]
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.by_hand] * (name not in QUICK))
+        for name in [*TREES, "solo12", "talos"]
+    ],
 )
 def test_grid_of_robots_equals_pinocchio(name: str) -> None:
     """Bundled robots (cyclic joints, balls, one without joints), a quadruped, a humanoid."""

@@ -44,7 +44,7 @@ def test_compare_that_cannot_tell_exits_with_three(capsys: pytest.CaptureFixture
     """The verdict is neither PASSED nor FAILED."""
     code, out, _ = run(
         capsys, "compare", "double_spherical_pendulum", "--x0", "2,1,2.5", "--xdot0", "4,-5,6",
-        "--xi0", "3", "--duration", "15", "--rtol", "1e-6", "--atol", "1e-8",
+        "--xi0", "3", "--duration", "10", "--rtol", "1e-6", "--atol", "1e-8",
     )  # fmt: skip
     assert code == 3
     assert "verdict: CANNOT TELL" in out
@@ -231,6 +231,8 @@ def test_bench_kernels_prints_ratios_to_aba(capsys: pytest.CaptureFixture[str]) 
         rows = {line.split()[0]: float(line.split()[-1]) for line in out.splitlines()[1:]}
         assert set(rows) == {"coupled_planar", "falling_cat"}
         ratios = {name: max(ratio, ratios.get(name, 0.0)) for name, ratio in rows.items()}
+        if ratios["coupled_planar"] > 25.0 and ratios["falling_cat"] > 2.0:
+            break
     assert ratios["coupled_planar"] > 25.0
     assert ratios["falling_cat"] > 2.0
 

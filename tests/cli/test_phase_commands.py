@@ -186,13 +186,13 @@ def test_commands_state_loops_and_independent_joints(
     feet = "left_front_foot=left_rear_foot:3d,right_front_foot=right_rear_foot:3d"
     hips = ["left_front_hip", "left_rear_hip", "right_front_hip", "right_rear_hip"]
     loaded = (urdf, "--group", "SE3", "--loops", feet, "--independent", ",".join(hips))
-    code, text, err = run(capsys, "phase", *loaded, "--circle", f"{hips[0]},{hips[1]},0.3")
+    code, text, err = run(capsys, "phase", *loaded, "--circle", f"{hips[0]},{hips[1]},0.1")
     assert code == 0, err
     biped = pinred.load(urdf, group="SE3", loops=feet)
     connection = pinred.Connection.mechanical(biped, independent=hips)
     assert biped.closure is not None
     rest = biped.closure.x[[biped.shape_names.index(name) for name in hips]]
-    circle = pinred.Gait.fourier(rest, 0.3 * np.eye(4)[:1], 0.3 * np.eye(4)[1:2])
+    circle = pinred.Gait.fourier(rest, 0.1 * np.eye(4)[:1], 0.1 * np.eye(4)[1:2])
     p = pinred.phase(connection, circle)
     assert number(text, "turn +N rad") == pytest.approx(p.screw.angle, abs=1e-11)
     assert abs(p.screw.angle) > 1e-4
@@ -210,7 +210,7 @@ def test_commands_state_loops_and_independent_joints(
     path.write_text(
         f"robot = {urdf!r}\nindependent = {hips}\n[load]\ngroup = 'SE3'\nloops = {feet!r}\n"
         f"[gait]\nkind = 'fourier'\nmean = {rest.tolist()}\n"
-        "cos = [[0.3, 0, 0, 0]]\nsin = [[0, 0.3, 0, 0]]\n",
+        "cos = [[0.1, 0, 0, 0]]\nsin = [[0, 0.1, 0, 0]]\n",
         "utf-8",
     )
     code, text, err = run(capsys, "phase", str(path))

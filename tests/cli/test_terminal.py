@@ -29,7 +29,7 @@ def run(
     "words",
     [
         ("inspect", "falling_cat"),
-        ("compare", "falling_cat", "--duration", "0.1"),
+        pytest.param(("compare", "falling_cat", "--duration", "0.1"), marks=pytest.mark.by_hand),
         pytest.param(("run", SCENE, "--validate", "--explain"), marks=pytest.mark.by_hand),
         pytest.param(("run", SCENE, "--compare"), marks=pytest.mark.by_hand),
         ("robots",),

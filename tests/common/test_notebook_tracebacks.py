@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -37,6 +38,7 @@ for cell in (
 """
 
 
+@cache
 def run_session(**environment: str) -> list[str]:
     """Return the output of each cell, without colours."""
     command = [sys.executable, "-W", "ignore", "-c", SESSION]

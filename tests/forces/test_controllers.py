@@ -24,7 +24,7 @@ GOAL = np.array([1.0, -0.4, 0.8, 0.5, -0.6, -0.2])
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("limit", [None, "hard", "smooth"])
+@pytest.mark.parametrize("limit", ["hard", "smooth", pytest.param(None, marks=pytest.mark.by_hand)])
 @pytest.mark.sampled
 def test_pd_equals_aba(limit: str | None, engine: Engine) -> None:
     """PD to a fixed shape and along a plan, within limits, against ABA under the same law."""
@@ -82,7 +82,7 @@ def closed_form(error: float, rate: float, kp: float, kd: float, t: Array) -> Ar
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("group", GROUPS)
-@pytest.mark.sampled
+@pytest.mark.sampled(5)
 def test_computed_torque_error_equals_closed_form(group: str, engine: Engine) -> None:
     """ë + kd ė + kp e = 0 per joint, with springs, dampers, gravity and prescribed joints."""
     # About the vertical, gravity acts on the shape.

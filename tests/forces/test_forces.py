@@ -29,14 +29,14 @@ I1, I2 = 2.0, 1.0  # of elroys_beanie
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("c", [0.3, 1.5])
+@pytest.mark.parametrize("c", [0.3, pytest.param(1.5, marks=pytest.mark.by_hand)])
 def test_damped_spring_equals_closed_form(c: float, engine: Engine) -> None:
     """M ẍ + c ẋ + k x = 0 with M = I1 I2/(I1+I2): decay c/2M, frequency √(k/M − (c/2M)²)."""
     k, x0, v0 = 3.0, 0.7, -0.4
     forces = [Spring("beanie", k, 0.1), Damper("beanie", c)]
     traj = pinred.simulate(
         pinred.load("elroys_beanie"),
-        x0=[x0 + 0.1], xdot0=[v0], xi0=[0.8], duration=12.0, forces=forces, engine=engine,
+        x0=[x0 + 0.1], xdot0=[v0], xi0=[0.8], duration=5.0, forces=forces, engine=engine,
     )  # fmt: skip
     M = I1 * I2 / (I1 + I2)
     decay, t = c / (2 * M), traj.t
@@ -106,7 +106,7 @@ def thrust(r: int) -> tuple[Wrench, Any]:
 
 
 @pytest.mark.slow
-@settings(max_examples=5)
+@settings(max_examples=3)
 @given(groups, seeds)
 def test_wrench_on_random_trees_equals_aba(group: str, seed: int) -> None:
     """In time and shape, under gravity: ABA, momentum and energy, on both engines."""

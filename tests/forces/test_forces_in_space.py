@@ -55,9 +55,9 @@ def weights(system: pinred.System) -> dict[str, Array]:
     return {name: rng.normal(size=(system.m, size)) for name, size in sizes.items()}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.sampled(3)
 def test_torques_of_base_equal_aba(group: str, engine: Engine) -> None:
     """Pose, twist and both momenta for every group, under gravity."""
     system, names = tree(group, 2, 5), ("pose", "xi", "mu", "J")
@@ -89,10 +89,10 @@ LOADS = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("axes", LOADS)
 @pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.sampled(3)
 def test_wrenches_on_links_equal_jacobians(group: str, axes: Any, engine: Engine) -> None:
     """At a point of the last link, in its axes or the world's: τ = Jᵀ (F, N)."""
     bare = tree(group, 3, 5).model

@@ -67,7 +67,7 @@ def drives(traj: pinred.Trajectory, driven: list[int], tau: Array, t: int) -> Ar
     "driven",
     [[2, 0], [0, 1, 2], *(pytest.param(k, marks=pytest.mark.by_hand) for k in ([0], [1, 2]))],
 )
-@pytest.mark.sampled
+@pytest.mark.sampled(3)
 def test_any_subset_of_prescribed_joints_equals_aba(group: str, driven: list[int]) -> None:
     """In any order, on both engines."""
     system = tree(group, 3, 5)

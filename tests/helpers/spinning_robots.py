@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,12 @@ def gyrostat(moments: tuple[float, float, float], *, group: str = "SO3") -> pinr
       </link><joint name="wheel" type="continuous"><parent link="body"/><child link="rotor"/>
       <axis xyz="0 1 0"/></joint></robot>"""
     return pinred.load(text_file(text), group=group, gravity=(0.0, 0.0, 0.0))
+
+
+@cache
+def equilibria_of_cat() -> pinred.Equilibria:
+    """Return the relative equilibria of the falling cat at momentum 1."""
+    return pinred.relative_equilibria(pinred.load("falling_cat"), momentum=1.0, starts=60)
 
 
 def heavy_gyrostat(*, tilt: float = 0.0, skew: float = 0.0) -> pinred.System:

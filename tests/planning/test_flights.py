@@ -184,23 +184,41 @@ def test_loop_too_fast_for_torques_names_the_flight_that_is_possible() -> None:
 
 
 def test_flight_by_file_and_command_is_that_of_python(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A gait file and the command line state the same options by the same names."""
     file, out = tmp_path / "flight.toml", tmp_path / "flight.npz"
     file.write_text(
-        'robot = "elroys_beanie"\n[reorient]\ntarget = -0.5\nx0 = [0.0]\nx_end = [1.0]\n'
-        'duration = 2.0\neffort = "torque"\n'
+        'robot = "elroys_beanie"\n[reorient]\ntarget = -0.3333333333333333\nx0 = [0.0]\n'
+        'x_end = [1.0]\nduration = 2.0\neffort = "torque"\n'
     )
     plan = pinred.reorient(
-        pinred.load("elroys_beanie"), -0.5, x0=[0.0], x_end=[1.0], duration=2.0, effort="torque"
+        pinred.load("elroys_beanie"),
+        -1.0 / 3.0,
+        x0=[0.0],
+        x_end=[1.0],
+        duration=2.0,
+        effort="torque",
     )
+    assert plan.reached
+    calls: list[dict[str, str]] = []
+
+    def planned(_: pinred.System, **options: Any) -> pinred.FlightPlan:
+        calls.append({name: str(value) for name, value in options.items()})
+        return plan
+
+    monkeypatch.setattr("pinred.planning.reorientation.reorient.reorient", planned)
     assert main(["reorient", str(file), "--out", str(out)]) == 0
     assert str(plan) in capsys.readouterr().out
     assert out.exists()
-    options = ["--target=-0.5", "--x0", "0", "--x-end", "1", "--duration", "2"]
+    options = ["--target=-0.3333333333333333", "--x0", "0", "--x-end", "1", "--duration", "2"]
     assert main(["reorient", "elroys_beanie", *options, "--effort", "torque"]) == 0
     assert str(plan) in capsys.readouterr().out
+    stated = {"x0": "[0.0]", "x_end": "[1.0]", "duration": "2.0", "effort": "torque"}
+    assert calls == [
+        {"target": "-0.3333333333333333", **stated},
+        {"target": "[-0.3333333333333333]", **stated},
+    ]
 
 
 def landing(system: pinred.System, x0: Array, seconds: float, pitch: float, turn: Array) -> Any:

@@ -29,6 +29,7 @@ def test_cat_with_ball_reaches_target_within_limits_of_speed_and_torque() -> Non
     assert plan.margins["speeds"] == pytest.approx(0.0, abs=1e-5)
 
 
+@pytest.mark.by_hand
 def test_hinge_and_ball_turn_tumbling_base() -> None:
     """With momentum, the base passes through the target at the end."""
     model = pin.Model()

@@ -210,7 +210,9 @@ SIGNAL_CASES = {
 }
 
 
-@pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
+@pytest.mark.parametrize(
+    "engine", ["compiled", pytest.param("pinocchio", marks=pytest.mark.by_hand)]
+)
 @pytest.mark.parametrize("kind", SIGNAL_CASES)
 def test_prescribed_signal_from_file_matches_python(kind: str, engine: str, tmp_path: Path) -> None:
     """The prescribed joint moves as with the signal in Python."""
@@ -364,7 +366,7 @@ LONG = {"cat_turns_over", "solo12_free_fall"}  # whose comparison takes several 
     ],
     ids=lambda path: path.stem,
 )
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_example_passes_comparison_with_aba(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
