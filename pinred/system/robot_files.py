@@ -13,13 +13,15 @@ import re
 import sys
 import tempfile
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import RLock
+from types import MappingProxyType
 from typing import Any
 from xml.etree import ElementTree
 from xml.parsers import expat
@@ -134,8 +136,9 @@ def bundled_folder() -> Path:
     return installed if installed.is_dir() else package.parent / "robots"
 
 
-def bundled_robots() -> dict[str, BundledRobot]:
-    """Return the bundled robots by name."""
+@cache
+def bundled_robots() -> Mapping[str, BundledRobot]:
+    """Return the bundled robots by name.  The file is read once."""
     folder = bundled_folder()
     table = tomllib.loads((folder / "robots.toml").read_text(encoding="utf-8"))
     robots = {}
@@ -143,7 +146,7 @@ def bundled_robots() -> dict[str, BundledRobot]:
         path, gravity = folder / entry.pop("file"), tuple(entry.pop("gravity"))
         loops = parse_loops(entry.pop("loops", ()))
         robots[name] = BundledRobot(name=name, path=path, gravity=gravity, loops=loops, **entry)
-    return robots
+    return MappingProxyType(robots)
 
 
 def has_example_robots() -> bool:
