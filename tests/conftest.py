@@ -74,7 +74,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     selected = [item for item in items if not examples or _set_examples(item, examples)]
     if not config.getoption("--by-hand"):
         selected = [item for item in selected if not item.get_closest_marker("by_hand")]
-        selected = _every_second_case(selected)
+        selected = _sampled_cases(selected)
     kept = set(selected)
     config.hook.pytest_deselected(items=[item for item in items if item not in kept])
     items[:] = selected
@@ -92,18 +92,18 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         compile_ahead(Path(gettempdir()) / f"pinred-{run}")
 
 
-def _every_second_case(items: list[pytest.Item]) -> list[pytest.Item]:
-    """Return the items with every second case of the tests marked `sampled`.
+def _sampled_cases(items: list[pytest.Item]) -> list[pytest.Item]:
+    """Return the items with one of every n cases of the tests marked `sampled(n)`.
 
-    Whether the first case is among them depends on the name of the test, so that tests with the
-    same cases keep different ones.
+    Which case is the first depends on the name of the test, so that tests with the same cases keep
+    different ones.
     """
     chosen, counts = [], Counter[str]()
     totals = Counter(_function_of(item) for item in items if item.get_closest_marker("sampled"))
     for item in items:
-        name = _function_of(item)
-        first = crc32(name.encode()) % 2
-        if totals[name] < 2 or counts[name] % 2 == first:
+        name, marker = _function_of(item), item.get_closest_marker("sampled")
+        every = min(marker.args[0] if marker and marker.args else 2, max(totals[name], 1))
+        if marker is None or counts[name] % every == crc32(name.encode()) % every:
             chosen.append(item)
         counts[name] += 1
     return chosen

@@ -27,11 +27,12 @@ Engine = Literal["compiled", "pinocchio"]
 ENGINES: list[Engine] = ["compiled", "pinocchio"]
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("group", "seed"),
     [("SE3", 0), ("SE3", 1), ("SE2", 2), ("SO3", 3), ("SO2", 4), ("R", 5), ("RxSE2", 6)],
 )
+@pytest.mark.parametrize("engine", ENGINES)
 def test_coupled_trees_agree_with_aba_with_multipliers(
     group: str, seed: int, engine: Engine
 ) -> None:
@@ -290,6 +291,7 @@ def test_random_states_respect_limits_of_followers(tmp_path: Path) -> None:
     assert (x >= -0.01 / 3.0).all()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", [5, 11])
 def test_joined_limbs_beside_couplings_agree_with_aba(seed: int) -> None:
     """Limbs without couplings are joined; a coupling joins another limb and the trunk."""
