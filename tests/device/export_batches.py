@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ import numpy as np
 
 import pinred
 from pinred.forces.kinds import Torque
-from pinred.kernels.device import device_code
+from pinred.kernels.device import cuda_driver, device_code
 
 
 @dataclass(frozen=True)
@@ -94,21 +93,23 @@ def export(batch: Batch, folder: Path, count: int = 256) -> Path:
     options = batch.options(count)
     expected = pinred.simulate_many(**options).y
 
-    def store(code: bytes, entry: str, threads: int, arguments: Sequence[Any]) -> None:
-        assert (entry, threads) == ("integrate_members", count)
-        size, columns, rows, runs, params, y0, times, y, status = arguments
-        assert size == count
-        file.with_suffix(".ptx").write_bytes(code)
+    def store(launch: cuda_driver.Launch, progress: Any = None) -> None:  # noqa: ARG001
+        assert len(launch.results[0]) == count
+        file.with_suffix(".ptx").write_bytes(launch.code)
+        arrays: dict[str, Any] = {
+            f"{kind}{k}": array.view(np.uint8).reshape(len(array), -1)
+            for kind, group in (("input", launch.inputs), ("result", launch.results))
+            for k, array in enumerate(group)
+        }
         np.savez_compressed(
-            file, numbers=[columns, rows], runs=runs.view(np.uint8).reshape(count, -1),
-            params=params, y0=y0, times=times, y=y, status=status, expected=expected,
-            bound=batch.bound,
+            file, entry=launch.entry, numbers=launch.numbers, each=launch.each, expected=expected,
+            bound=batch.bound, **arrays,
         )  # fmt: skip
         raise _Exported
 
     with (
-        mock.patch.object(device_code, "opened_device"),
-        mock.patch.object(device_code, "run_on_device", store),
+        mock.patch.object(device_code, "opened_devices"),
+        mock.patch.object(device_code, "run_on_devices", store),
     ):
         try:
             pinred.simulate_many(device="cuda", **options)

@@ -25,7 +25,7 @@ from pinred.kernels.device import cuda_driver
 def _device() -> None:
     """Skip a test where there is no device."""
     try:
-        cuda_driver.opened_device()
+        cuda_driver.opened_devices()
     except (DeviceError, MissingPackageError) as error:
         pytest.skip(str(error))
 
@@ -42,7 +42,7 @@ def test_exported_batch_runs_without_pinred(
     (result,) = run_folder(driver, tmp_path, members=10)
     assert (result["batch"], result["members"], result["passed"]) == ("cat", 12, True)
     assert result["largest"] < 1e-13
-    assert (driver.memory, driver.modules, driver.contexts) == ({}, {}, 0)
+    assert (driver.memory, driver.modules, driver.contexts) == ({}, {}, [])
     with np.load(file) as stored:
         arrays = dict(stored)
     arrays["expected"][4, 0, 2] += 1e-8

@@ -62,7 +62,7 @@ def test_members_in_device_threads_agree_with_members_in_lanes(
         cat, device="cuda", explain=True, progress=fractions.append, **_options(cat)
     )
     assert "10 members one per thread of a device (cuda), DOP853" in capsys.readouterr().out
-    assert driver.launched == len(fractions) > 1
+    assert len(driver.launched) == len(fractions) > 1
     assert fractions[-1] == 1.0
     assert driver.memory == {}
     assert not device.failures
@@ -162,17 +162,17 @@ def test_missing_package_names_the_extra_before_code_is_generated(
 
 def test_missing_device_is_an_error_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     """The driver may be installed without a device."""
-    host_driver(monkeypatch).capability = None
+    host_driver(monkeypatch).capabilities = []
     message = r"found none \(.*cuInit failed: CUDA_ERROR_NO_DEVICE\)\. Omit device"
     with pytest.raises(DeviceError, match=message):
-        cuda_driver._open_device()
+        cuda_driver._open_devices()
 
 
 def test_device_of_a_lower_capability_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """Older devices reject the PTX."""
-    host_driver(monkeypatch).capability = (8, 6)
-    with pytest.raises(DeviceError, match=r"capability 9\.0 or higher, got 8\.6"):
-        cuda_driver._open_device()
+    host_driver(monkeypatch).capabilities = [(8, 6), (7, 5)]
+    with pytest.raises(DeviceError, match=r"capability 9\.0 or higher, got 8\.6, 7\.5"):
+        cuda_driver._open_devices()
 
 
 def test_stand_in_has_functions_of_the_driver_only(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,4 +200,4 @@ def test_machine_without_the_driver_is_an_error() -> None:
     if has_device:
         pytest.skip("this machine has a device")
     with pytest.raises(DeviceError, match="expected a CUDA device and NVIDIA's driver, found none"):
-        cuda_driver._open_device()
+        cuda_driver._open_devices()

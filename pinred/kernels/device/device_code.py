@@ -14,7 +14,9 @@ The product of m with a window of 256 digits is exact modulo 2²⁵⁶.
 from __future__ import annotations
 
 import json
+import math
 import re
+from collections.abc import Callable
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
@@ -35,15 +37,15 @@ from ...integrators.integrate_many import Solutions, checked_batch, solutions
 from ...integrators.methods.method import Explicit, Method, stepper_of
 from ...integrators.stepping.argument_types import argument_type, plain_value
 from ...integrators.stepping.call_wrapper import COMPILED
-from ...integrators.stepping.codes import PAUSED
 from ...integrators.stepping.run_state import LAYOUT, NOT_CANONICAL, new_run
 from ...integrators.stepping.shipped_code import find_shipped, shipped_name
+from ...integrators.stepping.step_loop import OUTCOME
 from ..build import model_bytes
 from ..kernel import Kernel
 from ..machine.lowering import lower
 from ..machine.sincos import PARTS, constant, declarations, rotated_ir
 from ..reduced_graph import ReducedGraph
-from .cuda_driver import CAPABILITY, opened_device, run_on_device
+from .cuda_driver import CAPABILITY, Launch, opened_devices, run_on_devices
 
 _DIGITS = 1225  # number of binary digits of 2/π that the largest angles need
 _WINDOW = 32  # length of a window [bytes]
@@ -372,12 +374,34 @@ def _array(data: str, itemsize: int, size: str, *shape: str | int) -> str:
     return f"ptr null, ptr null, i64 {size}, i64 {itemsize}, ptr {data}, {numbers}"
 
 
+def _thread_ir(size: str) -> str:
+    """Generate the start of an entry point: `%thread`, and the end of threads beyond `size`."""
+    special = ("tid", "ctaid", "ntid")
+    reads = "\n".join(
+        f"%{name}32 = call i32 @llvm.nvvm.read.ptx.sreg.{name}.x()\n"
+        f"%{name} = zext i32 %{name}32 to i64"
+        for name in special
+    )
+    return f"""\
+{reads}
+%before = mul i64 %ctaid, %ntid
+%thread = add i64 %before, %tid
+%isthread = icmp slt i64 %thread, {size}
+br i1 %isthread, label %begin, label %end
+begin:"""
+
+
+_SPECIAL = "\n".join(
+    f"declare i32 @llvm.nvvm.read.ptx.sreg.{name}.x()" for name in ("tid", "ctaid", "ntid")
+)
+
+
 def _entry(n: int, parameters: int, rows: tuple[int, ...]) -> str:
     """Generate the entry point. Each thread executes it for one member.
 
     Its arguments are N, T, and R, the number of rows of report times, 1 or N; then the addresses of
-    runs (N,), parameters (N, p), initial states (N, n), report times (R, T), states (N, T, n), and
-    of the values that `advance` returns (N,).
+    the registers of all runs (1,), parameters (N, p), initial states (N, n), end times (N,), report
+    times (R, T), states (N, T, n), and outcomes (N,).
 
     Args:
         n: Number of entries of the state.
@@ -398,50 +422,66 @@ def _entry(n: int, parameters: int, rows: tuple[int, ...]) -> str:
         _array("%nothing", 8, "0", 0, n),
     ])  # fmt: skip
     kinds = ", ".join(argument.split()[0] for argument in arguments.split(", "))
-    special = ("tid", "ctaid", "ntid")
-    reads = "\n".join(
-        f"%{name}32 = call i32 @llvm.nvvm.read.ptx.sreg.{name}.x()\n"
-        f"%{name} = zext i32 %{name}32 to i64"
-        for name in special
+    registers, outcome = LAYOUT.fields, OUTCOME.fields
+    assert registers is not None
+    assert outcome is not None
+    stores = "\n".join(
+        f"%{name}.from = getelementptr i8, ptr %run, i64 {registers[name][1]}\n"
+        f"%{name}.to = getelementptr i8, ptr %outcome, i64 {outcome[name][1]}\n"
+        f"%{name} = load i64, ptr %{name}.from\n"
+        f"store i64 %{name}, ptr %{name}.to"
+        for name in ("t", "entry", "steps", "rejected", "evaluations")
     )
     return f"""\
 declare i32 @{COMPILED}({kinds})
 declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)
-{"".join(f"declare i32 @llvm.nvvm.read.ptx.sreg.{name}.x(){chr(10)}" for name in special)}
-define ptx_kernel void @{ENTRY}(i64 %N, i64 %T, i64 %R, ptr %allruns, ptr %allparams,
-                                ptr %ally0, ptr %alltimes, ptr %ally, ptr %allstatus) {{
+{_SPECIAL}
+define ptx_kernel void @{ENTRY}(i64 %N, i64 %T, i64 %R, ptr %allruns, ptr %allparams, ptr %ally0,
+                                ptr %allends, ptr %alltimes, ptr %ally, ptr %alloutcomes) {{
 %run = alloca [{run} x i8], align 8
 %work = alloca [{count * stride} x double], align 32
 %result = alloca i64
 %error = alloca i64
 %nothing = alloca i64
-{reads}
-%before = mul i64 %ctaid, %ntid
-%member = add i64 %before, %tid
-%ismember = icmp slt i64 %member, %N
-br i1 %ismember, label %integrate, label %end
-integrate:
+{_thread_ir("%N")}
 %numbers = mul i64 %T, {n}
-%params.first = mul i64 %member, {parameters}
-%y0.first = mul i64 %member, {n}
-%times.row = urem i64 %member, %R
+%params.first = mul i64 %thread, {parameters}
+%y0.first = mul i64 %thread, {n}
+%times.row = urem i64 %thread, %R
 %times.first = mul i64 %times.row, %T
-%y.first = mul i64 %member, %numbers
-%own = getelementptr [{run} x i8], ptr %allruns, i64 %member
+%y.first = mul i64 %thread, %numbers
 %params = getelementptr double, ptr %allparams, i64 %params.first
 %y0 = getelementptr double, ptr %ally0, i64 %y0.first
+%end.from = getelementptr double, ptr %allends, i64 %thread
 %times = getelementptr double, ptr %alltimes, i64 %times.first
 %y = getelementptr double, ptr %ally, i64 %y.first
-%status = getelementptr i64, ptr %allstatus, i64 %member
-call void @llvm.memcpy.p0.p0.i64(ptr %run, ptr %own, i64 {run}, i1 false)
+%outcome = getelementptr [{OUTCOME.itemsize} x i8], ptr %alloutcomes, i64 %thread
+call void @llvm.memcpy.p0.p0.i64(ptr %run, ptr %allruns, i64 {run}, i1 false)
+%end.to = getelementptr i8, ptr %run, i64 {registers["t_end"][1]}
+%end.time = load double, ptr %end.from
+store double %end.time, ptr %end.to
 call void @llvm.memset.p0.i64(ptr %work, i8 0, i64 {8 * count * stride}, i1 false)
 call void @llvm.memcpy.p0.p0.i64(ptr %work, ptr %y0, i64 {8 * n}, i1 false)
 %code = call i32 @{COMPILED}({arguments})
-%value = load i64, ptr %result
-store i64 %value, ptr %status
-call void @llvm.memcpy.p0.p0.i64(ptr %own, ptr %run, i64 {run}, i1 false)
-br label %end
+%status = load i64, ptr %result
+%status.to = getelementptr i8, ptr %outcome, i64 {outcome["status"][1]}
+store i64 %status, ptr %status.to
+{stores}
+%next.from = getelementptr i8, ptr %run, i64 {registers["next"][1]}
+%next = load i64, ptr %next.from
+%missing.first = mul i64 %next, {n}
+br label %missing
+; States at times that the run did not reach are NaN.
+missing:
+%k = phi i64 [ %missing.first, %begin ], [ %k.next, %fill ]
+%ismissing = icmp slt i64 %k, %numbers
+br i1 %ismissing, label %fill, label %end
+fill:
+%at = getelementptr double, ptr %y, i64 %k
+store double {constant(math.nan)}, ptr %at
+%k.next = add i64 %k, 1
+br label %missing
 end:
 ret void
 }}
@@ -458,6 +498,7 @@ def integrate_on_device(
     y0: ArrayLike,
     t_end: ArrayLike,
     times: ArrayLike,
+    progress: Callable[[float], None] | None = None,
 ) -> Solutions:
     """Integrate ẏ = f(y, params[i]) from y0[i] for all members i, one member per thread.
 
@@ -471,6 +512,7 @@ def integrate_on_device(
         y0: Initial states, (N, n).
         t_end: End time, or one for each member, (N,) [s].
         times: Sorted report times, (T,) or (N, T), as for `integrate_many` [s].
+        progress: Called with the completed fraction of the members.
     Returns:
         The solutions, member first.
     Raises:
@@ -483,18 +525,19 @@ def integrate_on_device(
         raise InputError(
             f"method: expected DOP853 or Tsit5 on a device, got {method.name}. Choose one of them"
         )
-    opened_device()  # report a missing device before its code is generated
+    opened_devices()  # report a missing device before its code is generated
     quaternions = kernel.layout.quaternions
     asked = checked_batch(kernel.rate.address, params, y0, t_end, times, quaternions, 1)
     batch = asked.batch
-    (size, n), (rows, columns) = batch.y0.shape, batch.times.shape
-    first = begun_by(method, kernel.rate.address, n, asked.end, quaternions, NOT_CANONICAL)
-    runs = np.repeat(first, size)
-    runs["t_end"], runs["budget"] = batch.ends, _NO_PAUSE
-    status = np.full(size, PAUSED)
-    arrays = (runs, batch.params, batch.y0, batch.times, batch.y, status)
-    run_on_device(ptx_of(kernel, method), ENTRY, size, (size, columns, rows, *arrays))
-    batch.outcomes["status"] = status
-    for name in ("t", "entry", "steps", "rejected", "evaluations"):
-        batch.outcomes[name] = runs[name]
+    n, (rows, columns) = batch.y0.shape[1], batch.times.shape
+    run = begun_by(method, kernel.rate.address, n, asked.end, quaternions, NOT_CANONICAL)
+    run["budget"] = _NO_PAUSE
+    launch = Launch(
+        ptx_of(kernel, method),
+        ENTRY,
+        (columns, rows),
+        (run, batch.params, batch.y0, batch.ends, batch.times),
+        (batch.y, batch.outcomes),
+    )
+    run_on_devices(launch, progress)
     return solutions(method, batch)
