@@ -56,16 +56,28 @@ class Outputs:
         Returns:
             The field: (…,) for scalars, else (…, length of the field's axis).
         """
-        values = outputs[..., self.fields[name]]
-        match FIELDS[name].axis:
-            case "nq":
-                return system.given_q(values)
-            case "nv":
-                return system.given_v(values)
-            case None:
-                return values[..., 0]
-            case _:
-                return values
+        return in_given_order(name, outputs[..., self.fields[name]], system)
+
+
+def in_given_order(name: str, values: Array, system: System) -> Array:
+    """Convert entries of the outputs to a field of State, see Outputs.read_field.
+
+    Args:
+        name: Name of the field, except "t".
+        values: Its entries, (…, length of the field's axis), or (…, 1) for scalars.
+        system: The system of the kernel.
+    Returns:
+        The field.
+    """
+    match FIELDS[name].axis:
+        case "nq":
+            return system.given_q(values)
+        case "nv":
+            return system.given_v(values)
+        case None:
+            return values[..., 0]
+        case _:
+            return values
 
 
 def separate_fields(*, base: bool) -> list[str]:

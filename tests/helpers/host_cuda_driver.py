@@ -28,7 +28,7 @@ from pinred.common.machine_code import LLVM_LOCK, NativeCode, create_machine, lo
 from pinred.common.memo import once_for_all
 from pinred.integrators.methods.method import Explicit
 from pinred.kernels.device import cuda_driver, device_code
-from pinred.kernels.device.device_code import device_ir
+from pinred.kernels.device.device_code import device_ir, outputs_ir
 from pinred.kernels.kernel import Kernel
 
 _NUMBERS = {name: ctypes.c_int32() for name in ("tid", "ctaid", "ntid")}  # of the current thread
@@ -114,7 +114,7 @@ class _HostDriver(ModuleType):
         memory: Arrays by their address in the memory of devices.
         contexts: The stack of current contexts.
         launched: Context and number of members of each launch.
-        modules: Code by context and address.
+        modules: Code, and its number of parameters, by context and address.
         streams: What waits in each stream.
         copied: Sizes of all copies to devices, and from there [bytes].
     """
@@ -128,7 +128,7 @@ class _HostDriver(ModuleType):
         self.memory: dict[int, Any] = {}
         self.contexts: list[str] = []
         self.launched: list[tuple[str, int]] = []
-        self.modules: dict[tuple[str, int], NativeCode] = {}
+        self.modules: dict[tuple[str, int], tuple[NativeCode, int]] = {}
         self.streams: dict[int, list[Callable[[], object]]] = {}
         self.copied = [0, 0]
         self._numbers = count(1)
@@ -180,10 +180,11 @@ class _HostDriver(ModuleType):
     def cuModuleLoadData(self, image: bytes) -> tuple[_Status, tuple[str, int]]:
         assert image.endswith(b"\0")
         text = image[:-1].decode()
-        name = re.findall(r"ptx_kernel void @(\w+)", text)[0]
+        (name, parameters) = re.findall(r"ptx_kernel void @(\w+)\(([^)]*)\)", text)[0]
         code = _compile(text, name)
         module = self.contexts[-1], code.address
-        self.modules[module] = code
+        # All parameters have 8 bytes.
+        self.modules[module] = code, parameters.count(",") + 1
         return _Status.CUDA_SUCCESS, module
 
     def cuModuleUnload(self, module: tuple[str, int]) -> tuple[_Status]:
@@ -195,7 +196,7 @@ class _HostDriver(ModuleType):
         self, module: tuple[str, int], name: bytes
     ) -> tuple[_Status, tuple[str, int]]:
         assert module[0] == self.contexts[-1]
-        assert self.modules[module].name == name.decode()
+        assert self.modules[module][0].name == name.decode()
         return _Status.CUDA_SUCCESS, module
 
     def cuMemGetInfo(self) -> tuple[_Status, int, int]:
@@ -239,8 +240,7 @@ class _HostDriver(ModuleType):
         (blocks, *grid), (threads, *block) = shape[:3], shape[3:]
         assert (*grid, *block, shared, extra) == (1, 1, 1, 1, 0, 0)
         assert function[0] == self.contexts[-1]
-        name = self.modules[function].name
-        length = _PARAMETERS[name]
+        length = self.modules[function][1]
         addresses = (ctypes.c_uint64 * length).from_address(parameters)
         values = [ctypes.c_int64.from_address(address).value for address in addresses]
         run = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * length)(function[1])
@@ -254,10 +254,6 @@ class _HostDriver(ModuleType):
         self.streams[stream].append(act)
         self.launched.append((function[0], values[0]))
         return (_Status.CUDA_SUCCESS,)
-
-
-# Number of parameters of the entry points, all of 8 bytes.
-_PARAMETERS = {device_code.ENTRY: 10}
 
 
 @once_for_all
@@ -299,9 +295,15 @@ def host_driver(monkeypatch: pytest.MonkeyPatch) -> _HostDriver:
         monkeypatch.setattr(module, "opened_devices", cuda_driver._open_devices)
     monkeypatch.setattr(cuda_driver, "_modules", OrderedDict())
     monkeypatch.setattr(device_code, "ptx_of", _ir_of)
+    monkeypatch.setattr(device_code, "outputs_ptx", _outputs_ir_of)
     return driver
 
 
 @once_for_all
 def _ir_of(kernel: Kernel, method: Explicit) -> bytes:
     return device_ir(kernel, method).encode()
+
+
+@once_for_all
+def _outputs_ir_of(kernel: Kernel, names: tuple[str, ...]) -> bytes:
+    return outputs_ir(kernel, names).encode()

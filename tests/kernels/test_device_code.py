@@ -109,6 +109,17 @@ def test_ptx_is_cached_by_kernel_and_method(
     assert device_code.ptx_of(other, DOP853()) == b"new DOP853"
 
 
+def test_outputs_are_only_those_of_the_fields(kernel: Kernel) -> None:
+    """The base motion is most of the work, and shapes do not need it."""
+    few, many = (
+        device_code.emit_ptx(device_code.outputs_ir(kernel, names))
+        for names in (("x",), ("x", "pose", "energy", "body_momentum"))
+    )
+    assert f".entry {device_code.OUTPUTS_ENTRY}(".encode() in many
+    assert _EXTERN not in many
+    assert few.count(b".f64") < 0.1 * many.count(b".f64")
+
+
 @compiled
 def count_times(
     runs: Runs, params: Array, work: Array, times: Array, out: Array, ends: Array, states: Array
@@ -338,7 +349,7 @@ def test_module_stays_loaded_for_the_next_run(
     loaded: list[bytes] = []
     load = driver.cuModuleLoadData
 
-    def counted(image: bytes) -> tuple[IntEnum, int]:
+    def counted(image: bytes) -> tuple[IntEnum, tuple[str, int]]:
         loaded.append(image)
         return load(image)
 

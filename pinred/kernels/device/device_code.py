@@ -16,17 +16,18 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import llvmlite.binding as llvm
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from ...common.arrays import read_only
+from ...common.arrays import Array, read_only
 from ...common.errors import InputError, UnsupportedOperationError
 from ...common.machine_code import LLVM_LOCK
 from ...common.memo import once, once_for_all
@@ -40,8 +41,9 @@ from ...integrators.stepping.call_wrapper import COMPILED
 from ...integrators.stepping.run_state import LAYOUT, NOT_CANONICAL, new_run
 from ...integrators.stepping.shipped_code import find_shipped, shipped_name
 from ...integrators.stepping.step_loop import OUTCOME
+from ...system.state_fields import FIELDS
 from ..build import model_bytes
-from ..kernel import Kernel
+from ..kernel import Kernel, in_given_order
 from ..machine.lowering import lower
 from ..machine.sincos import PARTS, constant, declarations, rotated_ir
 from ..reduced_graph import ReducedGraph
@@ -160,6 +162,7 @@ ret {{double, double}} %result
 
 
 ENTRY = "integrate_members"  # name of the entry point
+OUTPUTS_ENTRY = "evaluate_outputs"
 _CPU, _FEATURES = f"sm_{CAPABILITY[0]}{CAPABILITY[1]}", "+ptx80"  # PTX of CUDA 12.0
 _TRIPLE = "nvptx64-nvidia-cuda"
 _LEVEL = 2  # of code generation
@@ -190,20 +193,37 @@ def ptx_of(kernel: Kernel, method: Explicit) -> bytes:
     """
     advance = _advance(method)
     loop = advance.py_func.__name__, advance.stamp
+    return _cached_ptx(kernel, loop, lambda: device_ir(kernel, method))
 
+
+def outputs_ptx(kernel: Kernel, names: Sequence[str]) -> bytes:
+    """Return the PTX that computes fields of states, from the cache if it is there.
+
+    Args:
+        kernel: The kernel.
+        names: Names of the fields.
+    Returns:
+        The PTX.
+    Raises:
+        UnsupportedOperationError: The code needs a function that devices do not have.
+    """
+    return _cached_ptx(kernel, ("outputs", *names), lambda: outputs_ir(kernel, names))
+
+
+def _cached_ptx(kernel: Kernel, kind: tuple[str, ...], make_ir: Callable[[], str]) -> bytes:
     def load() -> bytes:
         forces = None if kernel.forces is None else kernel.forces.key
-        settings = asdict(kernel.structure) | {"forces": forces, "ptx": [_CPU, *loop]}
+        settings = asdict(kernel.structure) | {"forces": forces, "ptx": [_CPU, *kind]}
         key = cache_key(model_bytes(kernel.system, kernel.structure.freed), json.dumps(settings))
         return ObjectCache().get_or_compile(
-            key, lambda: emit_ptx(device_ir(kernel, method)), f"'{kernel.system.name}' for a device"
+            key, lambda: emit_ptx(make_ir()), f"'{kernel.system.name}' for a device"
         )
 
-    return once(kernel, (ptx_of, *loop), load)
+    return once(kernel, (_cached_ptx, *kind), load)
 
 
 def device_ir(kernel: Kernel, method: Explicit) -> str:
-    """Return the IR of all code on the device: step loop, kernel and entry point.
+    """Return the IR that integrates members: step loop, kernel and entry point.
 
     Args:
         kernel: The kernel.
@@ -216,21 +236,56 @@ def device_ir(kernel: Kernel, method: Explicit) -> str:
     rate = ReducedGraph(kernel.system, kernel.structure, kernel.forces).rate()
     # Without states, one number is integrated instead.
     n = max(kernel.layout.size, 1)
-    texts = [
-        lower(rate, "rate", fma=True),
-        _entry(n, kernel.layout.parameters, stepper_of(method).work(n).shape),
-        large_angles_ir(),
-        _SQRT,
-    ]
-    loop = _bitcode(_advance(method))
+    rows = stepper_of(method).work(n).shape
+    texts = [lower(rate, "rate", fma=True), _entry(n, kernel.layout.parameters, rows)]
+    return _linked_ir(kernel, texts, ENTRY, _bitcode(_advance(method)))
+
+
+def outputs_ir(kernel: Kernel, names: Sequence[str]) -> str:
+    """Return the IR that computes fields of states, one state per thread.
+
+    Args:
+        kernel: The kernel.
+        names: Names of the fields; nothing else is computed.
+    Returns:
+        The IR, for the device, with no function undefined.
+    Raises:
+        UnsupportedOperationError: The code needs a function that devices do not have.
+    """
+    every = ReducedGraph(kernel.system, kernel.structure, kernel.forces).outputs()
+    inputs = every.sx_in()
+    slices = [kernel.where.fields[name] for name in names]
+    wanted = ca.vertcat(*[every(*inputs)[part] for part in slices])
+    outputs = ca.Function("outputs", inputs, [ca.densify(wanted)], {"cse": True})
+    entry = _outputs_entry(kernel, inputs[1].numel(), [part.stop - part.start for part in slices])
+    return _linked_ir(kernel, [lower(outputs, "outputs", fma=True), entry], OUTPUTS_ENTRY)
+
+
+def _linked_ir(kernel: Kernel, texts: list[str], entry: str, loop: bytes | None = None) -> str:
+    """Link IR with what devices lack.
+
+    Args:
+        kernel: The kernel.
+        texts: IR.
+        entry: Name of the entry point.
+        loop: Bitcode of a step loop, None for none.
+    Returns:
+        The IR, for the device, with no function undefined.
+    Raises:
+        UnsupportedOperationError: The code needs a function that devices do not have.
+    """
+    texts = [*texts, large_angles_ir(), _SQRT]
     with LLVM_LOCK:
         context = llvm.create_context()
-        module = llvm.parse_bitcode(loop, context)
-        module = llvm.parse_assembly(_with_direct_calls(str(module)), context)
         machine = _machine()
+        if loop is None:
+            module = llvm.parse_assembly(texts.pop(0), context)
+        else:
+            module = llvm.parse_bitcode(loop, context)
+            module = llvm.parse_assembly(_with_direct_calls(str(module)), context)
         for text in texts:
             module.link_in(llvm.parse_assembly(text, context))
-        missing = _settle(module, machine)
+        missing = _settle(module, machine, entry)
         if missing and (library := _libdevice()) is not None:
             library = llvm.parse_bitcode(library, context)
             known = {function.name for function in library.functions if not function.is_declaration}
@@ -238,12 +293,12 @@ def device_ir(kernel: Kernel, method: Explicit) -> str:
             module.close()
             module = llvm.parse_assembly(text, context)
             module.link_in(library)
-            missing = _settle(module, machine)
+            missing = _settle(module, machine, entry)
         ir = str(module)
         module.close()  # before its context is deleted
     if missing:
         raise UnsupportedOperationError(
-            f"device: {method.name} or the forces on '{kernel.system.name}' need "
+            f"device: the method or the forces on '{kernel.system.name}' need "
             f"{', '.join(missing)}, for which there is no device code. {_remedy()}, or integrate "
             "without device"
         )
@@ -251,7 +306,7 @@ def device_ir(kernel: Kernel, method: Explicit) -> str:
 
 
 def emit_ptx(ir: str) -> bytes:
-    """Generate the PTX of `device_ir`."""
+    """Generate the PTX of code for the device."""
     with LLVM_LOCK:
         context = llvm.create_context()
         module = llvm.parse_assembly(ir, context)
@@ -260,11 +315,11 @@ def emit_ptx(ir: str) -> bytes:
     return text.encode()
 
 
-def _settle(module: Any, machine: Any) -> list[str]:
+def _settle(module: Any, machine: Any, entry: str) -> list[str]:
     """Inline and remove functions of a module for the device; return the names that it lacks."""
     module.triple, module.data_layout = _TRIPLE, str(machine.target_data)
     for function in module.functions:
-        if not function.is_declaration and function.name != ENTRY:
+        if not function.is_declaration and function.name != entry:
             function.linkage = "internal"
     passes = llvm.create_new_module_pass_manager()
     passes.add_always_inliner_pass()
@@ -488,6 +543,60 @@ ret void
 """
 
 
+def _outputs_entry(kernel: Kernel, constants: int, sizes: Sequence[int]) -> str:
+    """Generate the entry point of outputs. Each thread executes it for one state.
+
+    Its arguments are N and T; then the addresses of constants (N, c), states (N, T, n), times (T,),
+    and of each field (N, T, size).
+
+    Args:
+        kernel: The kernel.
+        constants: Number of constants.
+        sizes: Number of entries of each field.
+    Returns:
+        The LLVM IR.
+    """
+    fields = ", ".join(f"ptr %field{k}" for k in range(len(sizes)))
+    copies, first = "", 0
+    for k, size in enumerate(sizes):
+        copies += (
+            f"%from{k} = getelementptr double, ptr %out, i64 {first}\n"
+            f"%offset{k} = mul i64 %thread, {size}\n"
+            f"%to{k} = getelementptr double, ptr %field{k}, i64 %offset{k}\n"
+            f"call void @llvm.memcpy.p0.p0.i64(ptr %to{k}, ptr %from{k}, i64 {8 * size}, i1 0)\n"
+        )
+        first += size
+    entries = kernel.layout.size
+    return f"""\
+declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
+declare void @outputs(ptr, ptr, ptr)
+{_SPECIAL}
+define ptx_kernel void @{OUTPUTS_ENTRY}(i64 %N, i64 %T, ptr %allconstants, ptr %ally, ptr %times,
+                                        {fields}) {{
+%row = alloca [{entries + 1} x double], align 8
+%out = alloca [{first} x double], align 8
+%threads = mul i64 %N, %T
+{_thread_ir("%threads")}
+%member = udiv i64 %thread, %T
+%j = urem i64 %thread, %T
+%constants.first = mul i64 %member, {constants}
+%constants = getelementptr double, ptr %allconstants, i64 %constants.first
+%y.first = mul i64 %thread, {max(entries, 1)}
+%y = getelementptr double, ptr %ally, i64 %y.first
+call void @llvm.memcpy.p0.p0.i64(ptr %row, ptr %y, i64 {8 * entries}, i1 false)
+%time.from = getelementptr double, ptr %times, i64 %j
+%time = load double, ptr %time.from
+; It is no input if the state contains the time.
+%time.to = getelementptr double, ptr %row, i64 {entries}
+store double %time, ptr %time.to
+call void @outputs(ptr %row, ptr %constants, ptr %out)
+{copies}br label %end
+end:
+ret void
+}}
+"""
+
+
 _NO_PAUSE = 2**62  # number of evaluations before a run pauses
 
 
@@ -541,3 +650,47 @@ def integrate_on_device(
     )
     run_on_devices(launch, progress)
     return solutions(method, batch)
+
+
+def fill_fields_on_device(
+    kernel: Kernel,
+    constants: Array,
+    y: Array,
+    times: Array,
+    members: NDArray[np.int64],
+    fields: Mapping[str, Array],
+) -> None:
+    """Compute fields of the states of N members on CUDA devices, one state per thread.
+
+    Args:
+        kernel: The kernel.
+        constants: Inputs of the outputs besides states and time, (N, c).
+        y: Reduced states, (N, T, k).
+        times: Times, (T,) [s].
+        members: Row of each member in `fields`, (N,) sorted.
+        fields: Fields of State except the time, (M, T, …), of which the members' rows are filled.
+    Raises:
+        DeviceError: There is no device that can run the code, or it reports an error.
+        MissingPackageError: `cuda.bindings` is not installed.
+        UnsupportedOperationError: The code needs a function that devices do not have.
+    """
+    opened_devices()
+    results = {}
+    for name, field in fields.items():
+        part = kernel.where.fields[name]
+        # Other fields have the joints in another order, or rows of other members.
+        direct = len(members) == len(field) and FIELDS[name].axis not in ("nq", "nv")
+        shape = (*y.shape[:2], part.stop - part.start)
+        results[name] = field if direct else np.empty(shape)
+    launch = Launch(
+        outputs_ptx(kernel, tuple(fields)),
+        OUTPUTS_ENTRY,
+        (len(times),),
+        (constants, np.ascontiguousarray(y), times[None]),
+        tuple(results.values()),
+        each=len(times),
+    )
+    run_on_devices(launch)
+    for name, values in results.items():
+        if values is not fields[name]:
+            fields[name][members] = in_given_order(name, values, kernel.system)

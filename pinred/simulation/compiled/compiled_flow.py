@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...common.arrays import Array, read_only
-from ...common.errors import InputError
+from ...common.errors import InputError, UnsupportedOperationError
 from ...common.memo import once, recent
 from ...forces.force_model import ForceModel
 from ...forces.force_numbers import SpanNumbers
@@ -263,9 +264,14 @@ class CompiledFlow:
         return state_class(t=t.copy(), **fields)
 
     def fill_states(
-        self, t: Array, y: Array, members: Indices, fields: Mapping[str, Array]
+        self,
+        t: Array,
+        y: Array,
+        members: Indices,
+        fields: Mapping[str, Array],
+        device: str | None = None,
     ) -> None:
-        """Compute the states of N members at common times, with the bits of `states`.
+        """Compute the states of N members at common times, on the CPU with the bits of `states`.
 
         Args:
             t: Times, (T,) [s].
@@ -273,7 +279,16 @@ class CompiledFlow:
             members: Row of each member in `fields`, (N,).
             fields: Fields of State except the time, (M, T, …), of which the members' rows are
                 filled.
+            device: "cuda" for CUDA devices, None for the CPU. The CPU also computes what devices
+                have no functions for.
         """
+        if device is not None and fields:
+            from ...kernels.device.device_code import fill_fields_on_device
+
+            constants = np.concatenate([self.parameters, self.path], axis=1)
+            with suppress(UnsupportedOperationError):
+                fill_fields_on_device(self.kernel, constants, y, t, members, fields)
+                return
         kernel, (N, T, _) = self.kernel, y.shape
         layout, where = kernel.layout, kernel.where
         times = t[:0] if layout.clock else t

@@ -89,7 +89,7 @@ def integrate_members(
     wild = ((j, wild_steps(flow.kernel, plan, y[j], reports)) for j in unchecked)
     failures += [Failure(int(members[j]), plan.scene.end, reason) for j, reason in wild if reason]
     wall = (perf_counter() - began) / count
-    return Batch(members, flow, plan.method.name, y, steps, evaluations, failures, wall)
+    return Batch(members, flow, plan.method.name, y, steps, evaluations, failures, wall, device)
 
 
 def lanes_of(method: Method, kernel: Kernel) -> int:
