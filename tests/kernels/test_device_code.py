@@ -16,10 +16,10 @@ from host_cuda_driver import host_driver
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.common.errors import DeviceError, InputError, UnsupportedOperationError
+from pinred.common.errors import DeviceError, UnsupportedOperationError
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import Solutions
-from pinred.integrators.methods import DOP853, Gauss, Tsit5
+from pinred.integrators.methods import DOP853, Tsit5
 from pinred.integrators.stepping.call_wrapper import COMPILED
 from pinred.integrators.stepping.codes import DONE, TOO_MANY
 from pinred.integrators.stepping.compiling import compiled
@@ -234,12 +234,6 @@ def test_method_that_needs_pow_is_refused_without_libdevice(
     monkeypatch.setattr(device_code, "_libdevice", lambda: None)
     with pytest.raises(UnsupportedOperationError, match=r"Tsit5 .* need llvm\.pow\.f64"):
         device_code.device_ir(kernel, Tsit5())
-
-
-def test_implicit_method_is_refused(kernel: Kernel) -> None:
-    """They need derivatives, which no device code computes."""
-    with pytest.raises(InputError, match="method: expected DOP853 or Tsit5 on a device, got Gauss"):
-        device_code.integrate_on_device(Gauss(0.1), kernel, *_batch(kernel, 1), 1.0, [1.0])
 
 
 def test_errors_of_the_driver_release_its_memory(

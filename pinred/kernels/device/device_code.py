@@ -28,14 +28,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...common.arrays import Array, read_only
-from ...common.errors import InputError, UnsupportedOperationError
+from ...common.errors import UnsupportedOperationError
 from ...common.machine_code import LLVM_LOCK
 from ...common.memo import once, once_for_all
 from ...common.object_cache import ObjectCache, cache_key
 from ...common.optional_packages import install_command
 from ...integrators.integrate import begun_by
 from ...integrators.integrate_many import Solutions, checked_batch, solutions
-from ...integrators.methods.method import Explicit, Method, stepper_of
+from ...integrators.methods.method import Explicit, stepper_of
 from ...integrators.stepping.argument_types import argument_type, plain_value
 from ...integrators.stepping.call_wrapper import COMPILED
 from ...integrators.stepping.run_state import LAYOUT, NOT_CANONICAL, new_run
@@ -601,7 +601,7 @@ _NO_PAUSE = 2**62  # number of evaluations before a run pauses
 
 
 def integrate_on_device(
-    method: Method,
+    method: Explicit,
     kernel: Kernel,
     params: ArrayLike,
     y0: ArrayLike,
@@ -630,10 +630,6 @@ def integrate_on_device(
         MissingPackageError: `cuda.bindings` is not installed.
         UnsupportedOperationError: The code needs a function that devices do not have.
     """
-    if not isinstance(method, Explicit):
-        raise InputError(
-            f"method: expected DOP853 or Tsit5 on a device, got {method.name}. Choose one of them"
-        )
     opened_devices()  # report a missing device before its code is generated
     quaternions = kernel.layout.quaternions
     asked = checked_batch(kernel.rate.address, params, y0, t_end, times, quaternions, 1)

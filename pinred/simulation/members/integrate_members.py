@@ -230,6 +230,7 @@ def _integrate_on_device(
     """Integrate members from y0 (N, k) on CUDA devices, each over one time span."""
     from ...kernels.device.device_code import integrate_on_device
 
+    assert isinstance(method, Explicit), "`check_device` refuses others"
     parameters, lengths, times = _inputs(flow, piece)
     return integrate_on_device(method, flow.kernel, parameters, y0, lengths, times, progress)
 
