@@ -27,6 +27,7 @@ from pinred.integrators.stepping.run_state import EVALUATIONS_BETWEEN_PAUSES, LA
 from pinred.integrators.stepping.step_loop import OUTCOME
 from pinred.kernels.build import build_kernel
 from pinred.kernels.device import cuda_driver, device_code
+from pinred.kernels.device.few_rows import stepper_with_few_rows
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.state_layout import Structure
 
@@ -134,7 +135,7 @@ def test_step_loop_without_shipped_bitcode_is_compiled() -> None:
     result, error, *arguments = module.get_function(COMPILED).arguments
     assert str(result.type) == str(error.type) == "ptr"
     shipped = llvm.parse_bitcode(
-        device_code._bitcode(device_code._advance(DOP853())), llvm.create_context()
+        device_code._bitcode(stepper_with_few_rows(DOP853()).loops.advance), llvm.create_context()
     )
     expected = list(shipped.get_function(COMPILED).arguments)[2:]
     assert [str(a.type) for a in arguments] == [str(a.type) for a in expected]

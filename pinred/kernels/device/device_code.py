@@ -1,8 +1,9 @@
 """Batches on a CUDA device as LLVM IR and PTX: one thread integrates one member.
 
-The step loop is the bitcode that integrates single runs on the CPU (`step_loop.advance`), and the
-vector field is the IR of the kernel.  The entry point only addresses the arrays of a member.  A
-thread copies the registers of its run, and keeps the work rows, in its local memory.
+The step loop is bitcode with the operations of single runs on the CPU, on fewer work rows
+(`few_rows.py`), and the vector field is the IR of the kernel.  The entry point only addresses the
+arrays of a member.  A thread copies the registers of its run, and keeps the work rows, in its local
+memory.  Another entry point computes fields of states from reduced states, one state per thread.
 
 Devices have no libm, so the module also generates the sine and cosine of angles of any size.
 
@@ -35,7 +36,7 @@ from ...common.object_cache import ObjectCache, cache_key
 from ...common.optional_packages import install_command
 from ...integrators.integrate import begun_by
 from ...integrators.integrate_many import Solutions, checked_batch, solutions
-from ...integrators.methods.method import Explicit, stepper_of
+from ...integrators.methods.method import Explicit
 from ...integrators.stepping.argument_types import argument_type, plain_value
 from ...integrators.stepping.call_wrapper import COMPILED
 from ...integrators.stepping.run_state import LAYOUT, NOT_CANONICAL, new_run
@@ -48,6 +49,7 @@ from ..machine.lowering import lower
 from ..machine.sincos import PARTS, constant, declarations, rotated_ir
 from ..reduced_graph import ReducedGraph
 from .cuda_driver import CAPABILITY, Launch, opened_devices, run_on_devices
+from .few_rows import stepper_with_few_rows
 
 _DIGITS = 1225  # number of binary digits of 2/π that the largest angles need
 _WINDOW = 32  # length of a window [bytes]
@@ -191,7 +193,7 @@ def ptx_of(kernel: Kernel, method: Explicit) -> bytes:
     Raises:
         UnsupportedOperationError: The code needs a function that devices do not have.
     """
-    advance = _advance(method)
+    advance = stepper_with_few_rows(method).loops.advance
     loop = advance.py_func.__name__, advance.stamp
     return _cached_ptx(kernel, loop, lambda: device_ir(kernel, method))
 
@@ -236,9 +238,11 @@ def device_ir(kernel: Kernel, method: Explicit) -> str:
     rate = ReducedGraph(kernel.system, kernel.structure, kernel.forces).rate()
     # Without states, one number is integrated instead.
     n = max(kernel.layout.size, 1)
-    rows = stepper_of(method).work(n).shape
-    texts = [lower(rate, "rate", fma=True), _entry(n, kernel.layout.parameters, rows)]
-    return _linked_ir(kernel, texts, ENTRY, _bitcode(_advance(method)))
+    stepper = stepper_with_few_rows(method)
+    entry = _entry(n, kernel.layout.parameters, stepper.work(n).shape)
+    texts = [lower(rate, "rate", fma=True), entry]
+    user = f"{method.name} or the forces"
+    return _linked_ir(kernel, user, texts, ENTRY, _bitcode(stepper.loops.advance))
 
 
 def outputs_ir(kernel: Kernel, names: Sequence[str]) -> str:
@@ -258,14 +262,18 @@ def outputs_ir(kernel: Kernel, names: Sequence[str]) -> str:
     wanted = ca.vertcat(*[every(*inputs)[part] for part in slices])
     outputs = ca.Function("outputs", inputs, [ca.densify(wanted)], {"cse": True})
     entry = _outputs_entry(kernel, inputs[1].numel(), [part.stop - part.start for part in slices])
-    return _linked_ir(kernel, [lower(outputs, "outputs", fma=True), entry], OUTPUTS_ENTRY)
+    texts = [lower(outputs, "outputs", fma=True), entry]
+    return _linked_ir(kernel, "states", texts, OUTPUTS_ENTRY)
 
 
-def _linked_ir(kernel: Kernel, texts: list[str], entry: str, loop: bytes | None = None) -> str:
+def _linked_ir(
+    kernel: Kernel, user: str, texts: list[str], entry: str, loop: bytes | None = None
+) -> str:
     """Link IR with what devices lack.
 
     Args:
         kernel: The kernel.
+        user: What the code computes, for messages.
         texts: IR.
         entry: Name of the entry point.
         loop: Bitcode of a step loop, None for none.
@@ -298,7 +306,7 @@ def _linked_ir(kernel: Kernel, texts: list[str], entry: str, loop: bytes | None 
         module.close()  # before its context is deleted
     if missing:
         raise UnsupportedOperationError(
-            f"device: the method or the forces on '{kernel.system.name}' need "
+            f"device: {user} on '{kernel.system.name}' need "
             f"{', '.join(missing)}, for which there is no device code. {_remedy()}, or integrate "
             "without device"
         )
@@ -372,21 +380,27 @@ def _remedy() -> str:
 # --- step loop ------------------------------------------------------------------------------
 
 
-def _advance(method: Explicit) -> Any:
-    """Return the compiled step loop of single runs."""
-    return stepper_of(method).loops.advance
+def loop_arguments() -> tuple[Any, ...]:
+    """Return arguments of a step loop, for a run that has reached its end."""
+    numbers, rows = np.zeros(2), np.zeros((2, 2))
+    fixed = read_only(np.zeros(2))
+    return new_run(begun=1), fixed, rows, fixed, rows, numbers, rows
 
 
 @once_for_all
 def _bitcode(advance: Any) -> bytes:
     """Return the bitcode of a step loop: what is shipped, or else what numba compiles."""
-    numbers, rows = np.zeros(2), np.zeros((2, 2))
-    fixed = read_only(np.zeros(2))
-    arguments = (new_run(), fixed, rows, fixed, rows, numbers, rows)
+    arguments = loop_arguments()
     kinds = tuple(argument_type(plain_value(argument)) for argument in arguments)
     shipped = find_shipped(shipped_name(advance.py_func, kinds, advance.stamp))
     if shipped is not None:
         return shipped.module
+    key = cache_key(advance.py_func.__name__, advance.stamp)
+    what = f"the steps {advance.py_func.__name__} for devices"
+    return ObjectCache().get_or_compile(key, lambda: _compiled_bitcode(advance, arguments), what)
+
+
+def _compiled_bitcode(advance: Any, arguments: tuple[Any, ...]) -> bytes:
     from numba import typeof
     from numba.core.caching import NullCache
 
