@@ -66,8 +66,8 @@ def simulate_many(
             world frame [m/s²].
         seeds: Seeds of random initial states, (N,), one for each member.
         threads: Number of threads; as many as processors if None.
-        device: "cuda" to integrate each member in a thread of a CUDA device, with DOP853 or Tsit5;
-            None for the CPU.
+        device: "cuda" to integrate each member in a thread of the CUDA devices, with DOP853 or
+            Tsit5; None for the CPU.
         progress: As in `simulate`, but called with the completed fraction of the members.
         explain: Whether to print how the members are integrated.
         invalid: "record" to list members with rejected values in `failures`, "raise" to raise the

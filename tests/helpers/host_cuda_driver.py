@@ -207,8 +207,8 @@ class _HostDriver(ModuleType):
             return _Status.CUDA_ERROR_INVALID_VALUE, 0
         if size > self.cuMemGetInfo()[1]:
             return _Status.CUDA_ERROR_OUT_OF_MEMORY, 0
-        # Numbers that nobody has stored are visible.
-        array = np.full(size, 0xFF, np.uint8)
+        # Numbers that nobody has stored are visible: 1e306, and no NaN, which failures store.
+        array = np.full(size, 0x7F, np.uint8)
         self.memory[array.ctypes.data] = array
         return _Status.CUDA_SUCCESS, array.ctypes.data
 

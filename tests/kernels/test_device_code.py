@@ -8,6 +8,7 @@ from collections.abc import Callable
 from enum import IntEnum
 from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
+from threading import Thread
 
 import llvmlite.binding as llvm
 import numpy as np
@@ -333,6 +334,22 @@ def test_interrupted_launches_release_their_memory(
         _states(kernel, interrupt)
     assert len(driver.launched) == 3
     assert (driver.memory, driver.streams, driver.contexts) == ({}, {}, [])
+
+
+def test_one_thread_of_a_process_uses_the_devices(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Modules of one thread could be unloaded, and memory be missing, while another runs."""
+    driver = host_driver(monkeypatch)
+    expected, found = _states(kernel), list[Array]()
+    other = Thread(target=lambda: found.append(_states(kernel)))
+    with cuda_driver._running:
+        other.start()
+        other.join(2.0)
+        assert len(driver.launched) == 1
+    other.join()
+    assert np.array_equal(found[0], expected)
+    assert len(driver.launched) == 2
 
 
 def test_module_stays_loaded_for_the_next_run(

@@ -11,6 +11,7 @@ import pytest
 from host_cuda_driver import host_driver
 
 import pinred
+from pinred.cli.main import main
 from pinred.common.errors import DeviceError, InputError
 from pinred.kernels.device import cuda_driver
 from pinred.sweeps.sweep_result import SweepResult
@@ -48,6 +49,20 @@ def test_points_on_a_device_agree_with_the_cpu(
     assert device["status"].values.tolist() == [1, 1, 3, 1, 1]
     again = _sweep(tmp_path / "device.zarr")
     assert again.cpus == {"cuda": 3}
+
+
+def test_command_sweeps_on_a_device(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The option is that of the function."""
+    driver = host_driver(monkeypatch)
+    scene, store = tmp_path / "scene.toml", tmp_path / "sweep.zarr"
+    scene.write_text(
+        'robot = "falling_cat"\nrun = { duration = 0.1, method = "DOP853" }\n'
+        "start = { momentum = 0, xdot0 = [0.5, -0.3, 0.2] }\n"
+    )
+    vary = ["--vary", "front.mass=Values([1.0, 1.5])", "--outputs", "x"]
+    assert main(["sweep", str(scene), *vary, "--store", str(store), "--device", "cuda"]) == 0
+    assert [size for _, size in driver.launched] == [2, 2]
+    assert pinred.open_sweep(store).cpus == {"cuda": 1}
 
 
 def test_points_on_devices_of_dask_workers_agree_with_the_cpu(
