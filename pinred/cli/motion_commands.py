@@ -299,6 +299,7 @@ def add_sweep_arguments(sub: argparse.ArgumentParser) -> None:
     single = {name: key for name, key in SWEEP_OPTIONS.items() if name not in repeated}
     add_options(sub, single)
     sub.add_argument("--threads", metavar="N", type=int, help="number of local threads")
+    sub.add_argument("--device", choices=["cuda"], help="integrate on CUDA devices")
     add_parameters(sub, "value of a parameter of the file or of its robot, instead of the file's")
 
 
@@ -334,8 +335,9 @@ def run_sweep(arguments: argparse.Namespace) -> int:
             )
     with nullcontext() if stated else naming(file.place):
         result = sweep(
-            scene, options.pop("vary"), threads=arguments.threads, progress=True, **options
-        )
+            scene, options.pop("vary"), threads=arguments.threads, device=arguments.device,
+            progress=True, **options,
+        )  # fmt: skip
     print(summary_of_sweep(result))
     print(f"  written to {options['store']}")
     return 0

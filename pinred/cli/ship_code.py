@@ -27,11 +27,13 @@ from ..analysis.phases.phase import phase
 from ..common.errors import InputError
 from ..forces.kinds import Torque
 from ..forces.signals.tabulated import Hold
-from ..integrators.methods import METHODS, Explicit
+from ..integrators.methods import DOP853, METHODS, Explicit, Tsit5
 from ..integrators.stepping import shipped_code
 from ..integrators.stepping.code_cache import CodeCache
 from ..integrators.stepping.portable_code import extract_bitcode
 from ..judge.compare import compare
+from ..kernels.device.device_code import loop_arguments
+from ..kernels.device.few_rows import stepper_with_few_rows
 from ..simulation.flow_map.flow import flow
 from ..simulation.simulate import simulate
 from ..simulation.simulate_many import simulate_many
@@ -144,6 +146,8 @@ def _calls(system: System) -> Iterator[Callable[[], Any]]:
         yield partial(simulate_many, system, seeds=range(8), times=[_DURATION], method=method)
         yield partial(_derivatives, system, method)
     yield lambda: compare(simulate(system, seed=1, duration=_DURATION))
+    for kind in (DOP853, Tsit5):
+        yield partial(stepper_with_few_rows(kind()).loops.advance, *loop_arguments())
     yield partial(_uncommon, system)
     yield partial(_film, system)
     if find_spec("jax") is not None:

@@ -47,6 +47,27 @@ class Outputs:
     size: int
 
 
+def in_given_order(name: str, values: Array, system: System) -> Array:
+    """Convert entries of the outputs to a field of State, with joints in the robot's order.
+
+    Args:
+        name: Name of the field, except "t".
+        values: Its entries, (…, length of the field's axis), or (…, 1) for scalars.
+        system: The system of the kernel.
+    Returns:
+        The field.
+    """
+    match FIELDS[name].axis:
+        case "nq":
+            return system.given_q(values)
+        case "nv":
+            return system.given_v(values)
+        case None:
+            return values[..., 0]
+        case _:
+            return values
+
+
 def separate_fields(*, base: bool) -> list[str]:
     """Return the fields of State that have separate entries in the outputs, in order.
 

@@ -13,11 +13,12 @@ from ..common.arrays import entries_of, whole
 from ..common.errors import InputError, IntegrationError, SceneWarning
 from ..common.names import brief, one_of
 from ..common.waiting import Progress, shown
+from ..integrators.methods import Explicit
 from ..scene.scene import Scene
 from ..scene.scene_options import SceneOptions
 from ..system.system import System, checked_system
 from .compiled.code_ahead import expect_members
-from .members.member_groups import Members, of_scenes
+from .members.member_groups import Group, Members, of_scenes
 from .members.member_options import MemberOptions
 from .members.rejected_members import INVALID, Invalid, separate_rejected, warn_of_rejected
 from .members.trajectories import Batch, Failure, Trajectories
@@ -65,8 +66,8 @@ def simulate_many(
             world frame [m/s²].
         seeds: Seeds of random initial states, (N,), one for each member.
         threads: Number of threads; as many as processors if None.
-        device: "cuda" to integrate each member in a thread of a CUDA device, with DOP853 or Tsit5;
-            None for the CPU.
+        device: "cuda" to integrate each member in a thread of the CUDA devices, with DOP853 or
+            Tsit5; None for the CPU.
         progress: As in `simulate`, but called with the completed fraction of the members.
         explain: Whether to print how the members are integrated.
         invalid: "record" to list members with rejected values in `failures`, "raise" to raise the
@@ -102,7 +103,7 @@ def simulate_many(
     if notice := free_joints_notice(resolved.groups[0].plan.scene):
         warnings.warn(notice, SceneWarning, stacklevel=3)
     if device is not None:
-        _check_device(device, threads, resolved)
+        check_device(device, threads, resolved.groups)
     if explain:
         print(_explained(resolved, device))
     name = resolved.groups[0].plan.system.name
@@ -125,17 +126,30 @@ def _checked(seeds: Sequence[int] | None) -> list[int] | None:
     return [whole(seed, "seed", 0) for seed in entries]
 
 
-def _check_device(device: str, threads: int | None, resolved: Members) -> None:
-    """Raise InputError for a device that does not exist, and for what no device integrates."""
+def check_device(device: str, threads: int | None, groups: Sequence[Group]) -> None:
+    """Check that a device integrates members.
+
+    Args:
+        device: The device, "cuda".
+        threads: Number of threads of the CPU; None is expected.
+        groups: Groups of the members.
+    Raises:
+        InputError: There is no such device, or no device integrates these members.
+    """
     if device != "cuda":
         raise InputError(f"device: expected None or 'cuda', got {brief(device)}")
     if threads is not None:
         raise InputError(f"threads: expected None with a device, got {brief(threads)}. Omit it.")
-    for group in resolved.groups:
+    for group in groups:
         if group.one_by_one:
             raise InputError(
                 f"device: expected members that share a kernel, got {len(group.members)} that are "
                 f"simulated one by one: {group.one_by_one}. Omit device."
+            )
+        if not isinstance(group.plan.method, Explicit):
+            raise InputError(
+                f"method: expected DOP853 or Tsit5 on a device, got {group.plan.method.name}. "
+                "Choose one of them"
             )
 
 

@@ -56,7 +56,7 @@ class SweepPlugin(distributed.WorkerPlugin):
 
 
 def compute_on_worker(
-    name: str, index: int, version: str
+    name: str, index: int, version: str, device: str | None
 ) -> tuple[Block | PinredError | None, str]:
     """Compute a block on a worker.
 
@@ -64,6 +64,7 @@ def compute_on_worker(
         name: Name of the plugin with the sweep.
         index: Index of the block.
         version: Version of pinred on the driver.
+        device: "cuda" for the CUDA devices of the worker, None for its CPU.
     Returns:
         The results or an error, and the version of pinred on the worker.  The result is None if
         the versions differ; the sweep of another version is not even unpickled.
@@ -72,18 +73,22 @@ def compute_on_worker(
         return None, __version__
     plugin: Any = distributed.get_worker().plugins[name]
     try:
-        return plugin.job.compute(index, 1), __version__
+        threads = 1 if device is None else None
+        return plugin.job.compute(index, threads, device), __version__
     except PinredError as error:  # An error of pinred would occur again on other workers.
         return error, __version__
 
 
-def compute_on_dask(job: SweepJob, blocks: Sequence[int], scheduler: Any) -> Iterator[Block]:
+def compute_on_dask(
+    job: SweepJob, blocks: Sequence[int], scheduler: Any, device: str | None = None
+) -> Iterator[Block]:
     """Compute blocks on the workers of a scheduler.
 
     Args:
         job: The sweep.
         blocks: Indices of the blocks.
         scheduler: Address of the scheduler, or a Client.
+        device: "cuda" for CUDA devices, None for the CPU.
     Yields:
         The results, in the order in which they arrive.
     Raises:
@@ -102,7 +107,7 @@ def compute_on_dask(job: SweepJob, blocks: Sequence[int], scheduler: Any) -> Ite
             while waiting or running.count():
                 ahead = max(1, _AHEAD * sum(client.nthreads().values()))
                 while waiting and running.count() < ahead:
-                    running.add(_submit(client, name, waiting.pop()))
+                    running.add(_submit(client, name, waiting.pop(), device))
                 _, (block, version) = next(running)
                 if version != __version__:
                     raise InputError(
@@ -119,9 +124,9 @@ def compute_on_dask(job: SweepJob, blocks: Sequence[int], scheduler: Any) -> Ite
                 client.unregister_worker_plugin(name)
 
 
-def _submit(client: Any, name: str, index: int) -> Any:
+def _submit(client: Any, name: str, index: int, device: str | None) -> Any:
     return client.submit(
-        compute_on_worker, name, index, __version__, key=f"{name}-{index}", pure=False
+        compute_on_worker, name, index, __version__, device, key=f"{name}-{index}", pure=False
     )
 
 

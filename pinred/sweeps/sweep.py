@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -22,7 +22,8 @@ from ..common.waiting import Progress, say, shown
 from ..common.zarr_folders import import_zarr
 from ..scene.scene import Scene
 from ..scene.scene_options import BLOCK, SAMPLERS, Sampler
-from ..simulation.members.member_groups import members_plan
+from ..simulation.members.member_groups import Group, members_plan
+from ..simulation.simulate_many import check_device
 from .distributions import Distribution, Listed, parse_distribution
 from .samplers import MOST_SOBOL, PointSequence, grid_size
 from .sweep_job import FAILED, REJECTED, Block, SweepJob
@@ -38,7 +39,11 @@ Report = Callable[[float], None]
 
 
 def compute_locally(
-    job: SweepJob, blocks: Iterable[int], threads: int | None, report: Callable[[int, float], None]
+    job: SweepJob,
+    blocks: Iterable[int],
+    threads: int | None,
+    device: str | None,
+    report: Callable[[int, float], None],
 ) -> Iterator[Block]:
     """Compute blocks one after another, each on threads and in SIMD lanes.
 
@@ -46,12 +51,13 @@ def compute_locally(
         job: The sweep.
         blocks: Indices of the blocks.
         threads: Number of threads; as many as processors if None.
+        device: "cuda" for CUDA devices, None for the CPU.
         report: Called with the index of a block and its completed fraction.
     Yields:
         The results.
     """
     for index in blocks:
-        yield job.compute(index, threads, partial(report, index))
+        yield job.compute(index, threads, device, partial(report, index))
 
 
 class PointsDone:
@@ -109,6 +115,7 @@ def sweep(
     scheduler: Any = None,
     block: int = BLOCK,
     threads: int | None = None,
+    device: Literal["cuda"] | None = None,
     progress: Progress | bool | None = None,
 ) -> SweepResult:
     """Simulate many points of a scene, in blocks that are stored as soon as they are complete.
@@ -140,14 +147,22 @@ def sweep(
             the blocks; by default, threads of this process do.
         block: Number of points of a block.
         threads: Number of local threads; as many as processors if None.
+        device: "cuda" to integrate on CUDA devices, as in `simulate_many`; those of the workers
+            with a scheduler.  None for the CPU.
         progress: As in `simulate`, but called with the completed fraction of the points.
     Returns:
         The results, an xarray.Dataset.
     Raises:
         InputError: An argument is invalid, or the store belongs to another sweep.
-        MissingPackageError: zarr, xarray or dask is not installed.
+        DeviceError: There is no device that can run the code, or it reports an error.
+        MissingPackageError: zarr, xarray or dask, or what a device needs, is not installed.
     """
     job = _job(scene, vary, points, sampler, seed, outputs, block)
+    if device is not None:
+        plan = members_plan(job.varied.scene)
+        check_device(
+            device, threads, [Group(np.broadcast_to(0, job.points), plan, plan.scene.given)]
+        )
     path = Path(_temporary_folder() if store is None else store)
     if path.suffix != ".zarr" or not is_folder(path.parent):
         raise InputError(
@@ -167,7 +182,7 @@ def sweep(
         if done.start and pending and progress is not False:
             say(f"{title}: continuing at {done.count:,} of {job.points:,} points")
         done.inside(0, 0.0)
-        for computed in _blocks(job, pending, scheduler, threads, done):
+        for computed in _blocks(job, pending, scheduler, threads, device, done):
             results.write(computed)
             done.finished(computed.index)
     from .sweep_result import open_result
@@ -265,16 +280,21 @@ def _check_seeds(vary: Mapping[str, Any], laws: Sequence[Distribution]) -> None:
 
 
 def _blocks(
-    job: SweepJob, pending: list[int], scheduler: Any, threads: int | None, done: PointsDone
+    job: SweepJob,
+    pending: list[int],
+    scheduler: Any,
+    threads: int | None,
+    device: str | None,
+    done: PointsDone,
 ) -> Iterator[Block]:
     if scheduler is None:
-        return compute_locally(job, pending, threads, done.inside)
+        return compute_locally(job, pending, threads, device, done.inside)
     optional_package(
         "distributed", f"scheduler: this needs dask.distributed: {install_command('dask')}"
     )
     from .dask_engine import compute_on_dask
 
-    return compute_on_dask(job, pending, scheduler)
+    return compute_on_dask(job, pending, scheduler, device)
 
 
 _KEPT: list[tempfile.TemporaryDirectory[str]] = []

@@ -28,7 +28,8 @@ from .varied_numbers import VariedScene
 
 # Status of a point in the store.
 MISSING, DONE, FAILED, REJECTED = 0, 1, 2, 3
-_MOST_BYTES = 2**25  # states of members that are computed together [bytes]
+# Size of the states of members that are computed together [bytes].
+_MOST_BYTES, _MOST_BYTES_OF_DEVICES = 2**25, 2**30
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Block:
         outputs: Outputs by name, (n, …); a function is missing if all points are rejected.
         status: Status of each point, (n,).
         reasons: Reason of each point that failed or was rejected, {index of the point: text}.
-        cpu: CPU for which the machine code was compiled.
+        cpu: CPU for which the machine code was compiled, or the kind of device.
     """
 
     index: int
@@ -119,17 +120,17 @@ class SweepJob:
         members, seeds = varied.member_values(varied.nominal_values()[None])
         return MemberOptions(varied.scene, {}, members, seeds).template()
 
-    @cached_property
-    def _together(self) -> int:
-        """Number of points that are computed together."""
+    def _members_of(self, size: int) -> int:
+        """Return the number of points whose states have a size [bytes]."""
         scene = self._varied_scene.scene
         numbers = 3 * sum(axis_lengths(scene.system).values()) * len(scene.report_times)
-        return max(1, _MOST_BYTES // (8 * numbers))
+        return max(1, size // (8 * numbers))
 
     def compute(
         self,
         index: int,
         threads: int | None,
+        device: str | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> Block:
         """Compute a block.
@@ -137,6 +138,7 @@ class SweepJob:
         Args:
             index: Index of the block.
             threads: Number of threads; as many as processors if None.
+            device: "cuda" for CUDA devices, None for the CPU.
             progress: Called with the completed fraction of the block.
         Returns:
             The results.
@@ -146,13 +148,14 @@ class SweepJob:
         status = np.full(last - first, DONE, dtype=np.uint8)
         reasons: dict[int, str] = {}
         blocks: list[dict[str, Array] | None] = []
-        starts = range(0, last - first, self._together)
+        together = self._members_of(_MOST_BYTES if device is None else _MOST_BYTES_OF_DEVICES)
+        starts = range(0, last - first, together)
         for start in starts:
-            rows = values[start : start + self._together]
+            rows = values[start : start + together]
             with warnings.catch_warnings():
                 if first + start:  # The first points have shown the warnings about open loops.
                     warnings.simplefilter("ignore", LoopWarning)
-                many, rejected = self._simulate(rows, threads)
+                many, rejected = self._simulate(rows, threads, device)
             for failure in many.failures:
                 row = start + failure.member
                 status[row] = REJECTED if failure.member in rejected else FAILED
@@ -160,16 +163,18 @@ class SweepJob:
             blocks.append(None if len(rejected) == len(rows) else self._outputs_of(many))
             if progress is not None:
                 progress((start + len(rows)) / (last - first))
-        outputs = _joined(blocks, [len(values[s : s + self._together]) for s in starts])
-        return Block(index, values, outputs, status, reasons, cpu_target().name)
+        outputs = _joined(blocks, [len(values[s : s + together]) for s in starts])
+        return Block(index, values, outputs, status, reasons, device or cpu_target().name)
 
-    def _simulate(self, values: Array, threads: int | None) -> tuple[Trajectories, set[int]]:
+    def _simulate(
+        self, values: Array, threads: int | None, device: str | None
+    ) -> tuple[Trajectories, set[int]]:
         varied = self._varied_scene
         members, seeds = varied.member_values(values)
         options = MemberOptions(varied.scene, {}, members, seeds)
         options.prepared = self._template
         resolved, rejected = separate_all_rejected(options)
-        many = run_members(resolved, threads, None, rejected)
+        many = run_members(resolved, threads, None, rejected, device)
         return many, {failure.member for failure in rejected}
 
     def _outputs_of(self, many: Trajectories) -> dict[str, Array]:

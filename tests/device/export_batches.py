@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -20,7 +19,8 @@ import numpy as np
 
 import pinred
 from pinred.forces.kinds import Torque
-from pinred.kernels.device import device_code
+from pinred.kernels.device import cuda_driver, device_code
+from pinred.simulation.members.trajectories import Trajectories
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,8 @@ class Batch:
         bound: Largest difference from the CPU, relative to the largest state: round-off times the
             growth of perturbations.
         functions: Whether a torque of time needs functions of libm, hence libdevice.
+        fields: Fields of the states that a launch computes from reduced states; none if a launch
+            integrates members.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Batch:
     method: str = "DOP853"
     bound: float = 1e-9
     functions: bool = False
+    fields: tuple[str, ...] = ()
 
     def options(self, count: int) -> dict[str, Any]:
         """Return the arguments of `simulate_many` for some members."""
@@ -52,7 +55,7 @@ class Batch:
             "system": system,
             "members": {"x0": 0.3 * rng.normal(size=(count, system.m))},
             "xdot0": 0.3 * rng.normal(size=system.m),
-            "times": [self.end],
+            "times": np.linspace(0.0, self.end, 11) if self.fields else [self.end],
             "method": f"{self.method}(rtol=1e-9, atol=1e-9)",
         }
         if self.functions:
@@ -73,6 +76,8 @@ BATCHES = (
     Batch("talos", "talos", 2.0),
     Batch("tsit5", "falling_cat", 2.0, method="Tsit5"),
     Batch("functions", "falling_cat", 2.0, functions=True),
+    Batch("states_of_cat", "falling_cat", 2.0, fields=("x", "pose", "energy"), functions=True),
+    Batch("states_of_talos", "talos", 0.5, fields=("pose", "spatial_momentum", "energy", "q")),
 )
 
 
@@ -92,26 +97,36 @@ def export(batch: Batch, folder: Path, count: int = 256) -> Path:
     """
     file = folder / f"{batch.name}.npz"
     options = batch.options(count)
-    expected = pinred.simulate_many(**options).y
+    cpu = pinred.simulate_many(**options)
+    expected = [cpu.fields([name])[name] for name in batch.fields] or [cpu.y]
 
-    def store(code: bytes, entry: str, threads: int, arguments: Sequence[Any]) -> None:
-        assert (entry, threads) == ("integrate_members", count)
-        size, columns, rows, runs, params, y0, times, y, status = arguments
-        assert size == count
-        file.with_suffix(".ptx").write_bytes(code)
+    def store(launch: cuda_driver.Launch, progress: Any = None) -> None:  # noqa: ARG001
+        assert len(launch.results[0]) == count
+        file.with_suffix(".ptx").write_bytes(launch.code)
+        arrays: dict[str, Any] = {
+            f"{kind}{k}": array.view(np.uint8).reshape(len(array), -1)
+            for kind, group in (("input", launch.inputs), ("result", launch.results))
+            for k, array in enumerate(group)
+        }
+        arrays |= {f"expected{k}": array.reshape(count, -1) for k, array in enumerate(expected)}
         np.savez_compressed(
-            file, numbers=[columns, rows], runs=runs.view(np.uint8).reshape(count, -1),
-            params=params, y0=y0, times=times, y=y, status=status, expected=expected,
-            bound=batch.bound,
+            file, entry=launch.entry, numbers=launch.numbers, each=launch.each, bound=batch.bound,
+            **arrays,
         )  # fmt: skip
         raise _Exported
 
     with (
-        mock.patch.object(device_code, "opened_device"),
-        mock.patch.object(device_code, "run_on_device", store),
+        mock.patch.object(device_code, "opened_devices"),
+        mock.patch.object(device_code, "run_on_devices", store),
     ):
         try:
-            pinred.simulate_many(device="cuda", **options)
+            if batch.fields:
+                (members,) = cpu._batches
+                members = replace(members, device="cuda")
+                scenes = cpu._count, cpu._scene_of
+                Trajectories(scenes, [members], {}, []).fields(batch.fields)
+            else:
+                pinred.simulate_many(device="cuda", **options)
         except _Exported:
             return file
     raise AssertionError(f"'{batch.name}' launched nothing")

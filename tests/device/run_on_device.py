@@ -38,53 +38,63 @@ def run_batch(driver: Any, file: Path, members: int) -> dict[str, Any]:
     """
     with np.load(file) as stored:
         arrays = dict(stored)
-    expected, bound = arrays.pop("expected"), float(arrays.pop("bound"))
-    count = len(expected)
+    # Numbers of each member, (N, m); a result may have more, such as the state at its end.
+    expected = [arrays.pop(name) for name in sorted(arrays) if name.startswith("expected")]
+    bound = float(arrays.pop("bound"))
+    entry, each = str(arrays.pop("entry")), int(arrays.pop("each"))
+    numbers = arrays.pop("numbers").tolist()
+    count = len(expected[0])
     copies = -(-members // count)
-    threads = copies * count
+    size = copies * count
     begun = perf_counter()
     module = call(driver.cuModuleLoadData, file.with_suffix(".ptx").read_bytes() + b"\0")
     loading = perf_counter() - begun
-    function = call(driver.cuModuleGetFunction, module, b"integrate_members")
-    columns, rows = map(int, arrays.pop("numbers"))
-    names = ("runs", "params", "y0", "times", "y", "status")
+    function = call(driver.cuModuleGetFunction, module, entry.encode())
+    # Arrays of bytes, (N, …), or (1, …) if all members share a row.
     host = {
-        name: np.ascontiguousarray(
-            arrays[name]
-            if name == "times" and rows == 1
-            else np.concatenate([arrays[name]] * copies)
-        )
-        for name in names
+        name: np.concatenate([array] * copies) if len(array) == count else array
+        for name, array in arrays.items()
     }
-    memory = {name: call(driver.cuMemAlloc, max(host[name].nbytes, 1)) for name in names}
-    arguments = [threads, columns, rows if rows == 1 else threads, *map(int, memory.values())]
+    memory = {name: call(driver.cuMemAlloc, max(array.nbytes, 1)) for name, array in host.items()}
+    arguments = [size, *numbers, *map(int, memory.values())]
     values = np.array(arguments, np.uint64)
     addresses = values.ctypes.data + values.itemsize * np.arange(len(values), dtype=np.uint64)
+    stream = call(driver.cuStreamCreate, 0)
     walls = []
     for _ in range(REPETITIONS):
-        for name in names:
-            if host[name].nbytes:
-                call(driver.cuMemcpyHtoD, memory[name], host[name].ctypes.data, host[name].nbytes)
-        call(driver.cuCtxSynchronize)
+        for name, array in host.items():
+            if array.nbytes and name.startswith("input"):
+                call(
+                    driver.cuMemcpyHtoDAsync, memory[name], array.ctypes.data, array.nbytes, stream
+                )
+        call(driver.cuStreamSynchronize, stream)
         begun = perf_counter()
-        sizes = (-(-threads // BLOCK), 1, 1, BLOCK, 1, 1)
-        call(driver.cuLaunchKernel, function, *sizes, 0, 0, addresses.ctypes.data, 0)
-        call(driver.cuCtxSynchronize)
+        sizes = (-(-size * each // BLOCK), 1, 1, BLOCK, 1, 1)
+        call(driver.cuLaunchKernel, function, *sizes, 0, stream, addresses.ctypes.data, 0)
+        call(driver.cuStreamSynchronize, stream)
         walls.append(perf_counter() - begun)
-    call(driver.cuMemcpyDtoH, host["y"].ctypes.data, memory["y"], host["y"].nbytes)
+    errors = []
+    for k, values in enumerate(expected):
+        found = host[f"result{k}"]
+        call(
+            driver.cuMemcpyDtoHAsync, found.ctypes.data, memory[f"result{k}"], found.nbytes, stream
+        )
+        call(driver.cuStreamSynchronize, stream)
+        rows = found.view(float).reshape(copies, count, -1)[:, :, : values.shape[1]]
+        scale = max(1.0, float(np.abs(values).max()))
+        errors.append((np.abs(rows - values) / scale).ravel())
+    call(driver.cuStreamDestroy, stream)
     for address in memory.values():
         call(driver.cuMemFree, address)
     call(driver.cuModuleUnload, module)
-    # A launch also reports the state at its end.
-    states = host["y"].reshape(copies, count, columns, -1)[:, :, : expected.shape[1]]
-    errors = np.abs(states - expected) / max(1.0, float(np.abs(expected).max()))
-    largest = float(errors.max())  # NaN where a member failed
+    differences = np.concatenate(errors)
+    largest = float(differences.max())  # NaN where a member failed
     return {
         "batch": file.stem,
-        "members": threads,
+        "members": size,
         "loading_s": loading,
-        "us_each": 1e6 * float(np.median(walls)) / threads,
-        "median": float(np.median(errors)),
+        "us_each": 1e6 * float(np.median(walls)) / size,
+        "median": float(np.median(differences)),
         "largest": largest,
         "bound": bound,
         "passed": bool(largest <= bound),

@@ -1,7 +1,9 @@
-"""A stand-in for `cuda.bindings.driver`: memory and threads of the device are those of the CPU.
+"""A stand-in for `cuda.bindings.driver`: memory and threads of devices are those of the CPU.
 
 Its modules are LLVM IR instead of PTX.  The IR is compiled for the CPU without changes, except that
-the numbers of a thread and its block come from the stand-in.  Threads run one after another.
+the numbers of a thread and its block come from the stand-in.  Threads run one after another.  What
+is put into a stream waits there until the stream is synchronised, so results that are read too
+early, or inputs that change too early, are wrong.
 """
 
 from __future__ import annotations
@@ -10,8 +12,11 @@ import ctypes
 import re
 import sys
 from collections import OrderedDict
+from collections.abc import Callable
 from enum import IntEnum
+from functools import partial
 from importlib.util import find_spec
+from itertools import count
 from types import ModuleType
 from typing import Any
 
@@ -23,11 +28,10 @@ from pinred.common.machine_code import LLVM_LOCK, NativeCode, create_machine, lo
 from pinred.common.memo import once_for_all
 from pinred.integrators.methods.method import Explicit
 from pinred.kernels.device import cuda_driver, device_code
-from pinred.kernels.device.device_code import device_ir
+from pinred.kernels.device.device_code import device_ir, outputs_ir
 from pinred.kernels.kernel import Kernel
 
 _NUMBERS = {name: ctypes.c_int32() for name in ("tid", "ctaid", "ntid")}  # of the current thread
-_PARAMETERS = 9  # number of parameters of the entry point, all of 8 bytes
 
 
 def _plain(operation: str, kinds: str, kind: str = "double") -> tuple[str, list[str], str]:
@@ -105,74 +109,106 @@ class _HostDriver(ModuleType):
     """The functions of the driver that pinred calls.
 
     Attributes:
-        capability: Compute capability of the device; None if there is no device.
-        limit: Size of the memory of the device [bytes].
-        memory: Arrays by their address in the memory of the device.
-        contexts: Number of contexts that are in use.
-        launched: Number of launches.
+        capabilities: Compute capability of each device.
+        limit: Size of the memory of all devices [bytes].
+        memory: Arrays by their address in the memory of devices.
+        contexts: The stack of current contexts.
+        launched: Context and number of members of each launch.
+        modules: Code, and its number of parameters, by context and address.
+        streams: What waits in each stream.
+        copied: Sizes of all copies to devices, and from there [bytes].
     """
 
     CUdevice_attribute = _Attribute
 
     def __init__(self) -> None:
         super().__init__("cuda.bindings.driver")
-        self.capability: tuple[int, int] | None = (9, 0)
+        self.capabilities: list[tuple[int, int]] = [(9, 0)]
         self.limit = 2**30
         self.memory: dict[int, Any] = {}
-        self.contexts = 0
-        self.launched = 0
-        self.modules: dict[int, NativeCode] = {}
+        self.contexts: list[str] = []
+        self.launched: list[tuple[str, int]] = []
+        self.modules: dict[tuple[str, int], tuple[NativeCode, int]] = {}
+        self.streams: dict[int, list[Callable[[], object]]] = {}
+        self.copied = [0, 0]
+        self._numbers = count(1)
 
     def cuInit(self, flags: int) -> tuple[_Status]:
         assert flags == 0
-        return (_Status.CUDA_ERROR_NO_DEVICE if self.capability is None else _Status.CUDA_SUCCESS,)
+        return (_Status.CUDA_SUCCESS if self.capabilities else _Status.CUDA_ERROR_NO_DEVICE,)
+
+    def cuDeviceGetCount(self) -> tuple[_Status, int]:
+        return _Status.CUDA_SUCCESS, len(self.capabilities)
 
     def cuDeviceGet(self, ordinal: int) -> tuple[_Status, int]:
         return _Status.CUDA_SUCCESS, ordinal
 
     def cuDeviceGetAttribute(self, kind: _Attribute, device: int) -> tuple[_Status, int]:
-        assert device == 0
-        assert self.capability is not None
-        return _Status.CUDA_SUCCESS, self.capability[kind - 75]
+        return _Status.CUDA_SUCCESS, self.capabilities[device][kind - 75]
 
     def cuDevicePrimaryCtxRetain(self, device: int) -> tuple[_Status, str]:
         return _Status.CUDA_SUCCESS, f"context of {device}"
 
     def cuCtxPushCurrent(self, context: str) -> tuple[_Status]:
-        assert context == "context of 0"
-        self.contexts += 1
+        self.contexts.append(context)
         return (_Status.CUDA_SUCCESS,)
 
     def cuCtxPopCurrent(self) -> tuple[_Status, str]:
-        self.contexts -= 1
-        return _Status.CUDA_SUCCESS, "context of 0"
+        return _Status.CUDA_SUCCESS, self.contexts.pop()
 
     def cuCtxSynchronize(self) -> tuple[_Status]:
+        for stream in self.streams:
+            self.cuStreamSynchronize(stream)
         return (_Status.CUDA_SUCCESS,)
 
-    def cuModuleLoadData(self, image: bytes) -> tuple[_Status, int]:
+    def cuStreamCreate(self, flags: int) -> tuple[_Status, int]:
+        assert flags == 0
+        stream = next(self._numbers)
+        self.streams[stream] = []
+        return _Status.CUDA_SUCCESS, stream
+
+    def cuStreamSynchronize(self, stream: int) -> tuple[_Status]:
+        waiting, self.streams[stream] = self.streams[stream], []
+        for act in waiting:
+            act()
+        return (_Status.CUDA_SUCCESS,)
+
+    def cuStreamDestroy(self, stream: int) -> tuple[_Status]:
+        assert not self.streams.pop(stream)
+        return (_Status.CUDA_SUCCESS,)
+
+    def cuModuleLoadData(self, image: bytes) -> tuple[_Status, tuple[str, int]]:
         assert image.endswith(b"\0")
         text = image[:-1].decode()
-        name = re.findall(r"ptx_kernel void @(\w+)", text)[0]
+        (name, parameters) = re.findall(r"ptx_kernel void @(\w+)\(([^)]*)\)", text)[0]
         code = _compile(text, name)
-        self.modules[code.address] = code
-        return _Status.CUDA_SUCCESS, code.address
+        module = self.contexts[-1], code.address
+        # All parameters have 8 bytes.
+        self.modules[module] = code, parameters.count(",") + 1
+        return _Status.CUDA_SUCCESS, module
 
-    def cuModuleUnload(self, module: int) -> tuple[_Status]:
+    def cuModuleUnload(self, module: tuple[str, int]) -> tuple[_Status]:
+        assert module[0] == self.contexts[-1]
         del self.modules[module]
         return (_Status.CUDA_SUCCESS,)
 
-    def cuModuleGetFunction(self, module: int, name: bytes) -> tuple[_Status, int]:
-        assert self.modules[module].name == name.decode()
+    def cuModuleGetFunction(
+        self, module: tuple[str, int], name: bytes
+    ) -> tuple[_Status, tuple[str, int]]:
+        assert module[0] == self.contexts[-1]
+        assert self.modules[module][0].name == name.decode()
         return _Status.CUDA_SUCCESS, module
+
+    def cuMemGetInfo(self) -> tuple[_Status, int, int]:
+        return _Status.CUDA_SUCCESS, self.limit - sum(map(len, self.memory.values())), self.limit
 
     def cuMemAlloc(self, size: int) -> tuple[_Status, int]:
         if size == 0:
             return _Status.CUDA_ERROR_INVALID_VALUE, 0
-        if size + sum(map(len, self.memory.values())) > self.limit:
+        if size > self.cuMemGetInfo()[1]:
             return _Status.CUDA_ERROR_OUT_OF_MEMORY, 0
-        # Numbers that nobody has stored are visible.
-        array = np.full(size, 0xFF, np.uint8)
+        # Numbers that nobody has stored are visible: 1e306, and no NaN, which failures store.
+        array = np.full(size, 0x7F, np.uint8)
         self.memory[array.ctypes.data] = array
         return _Status.CUDA_SUCCESS, array.ctypes.data
 
@@ -180,28 +216,43 @@ class _HostDriver(ModuleType):
         del self.memory[pointer]
         return (_Status.CUDA_SUCCESS,)
 
-    def cuMemcpyHtoD(self, to: int, source: int, size: int) -> tuple[_Status]:
-        assert len(self.memory[to]) == size
-        ctypes.memmove(to, source, size)
+    def cuMemcpyHtoDAsync(self, to: int, source: int, size: int, stream: int) -> tuple[_Status]:
+        self._check_place(to, size)
+        self.copied[0] += size
+        self.streams[stream].append(partial(ctypes.memmove, to, source, size))
         return (_Status.CUDA_SUCCESS,)
 
-    def cuMemcpyDtoH(self, to: int, source: int, size: int) -> tuple[_Status]:
-        assert len(self.memory[source]) == size
-        ctypes.memmove(to, source, size)
+    def cuMemcpyDtoHAsync(self, to: int, source: int, size: int, stream: int) -> tuple[_Status]:
+        self._check_place(source, size)
+        self.copied[1] += size
+        self.streams[stream].append(partial(ctypes.memmove, to, source, size))
         return (_Status.CUDA_SUCCESS,)
 
-    def cuLaunchKernel(self, function: int, *sizes: int) -> tuple[_Status]:
+    def _check_place(self, first: int, size: int) -> None:
+        """Check that an array is in memory of the device."""
+        assert any(
+            start <= first and first + size <= start + len(array)
+            for start, array in self.memory.items()
+        )
+
+    def cuLaunchKernel(self, function: tuple[str, int], *sizes: int) -> tuple[_Status]:
         *shape, shared, stream, parameters, extra = sizes
         (blocks, *grid), (threads, *block) = shape[:3], shape[3:]
-        assert (*grid, *block, shared, stream, extra) == (1, 1, 1, 1, 0, 0, 0)
-        addresses = (ctypes.c_uint64 * _PARAMETERS).from_address(parameters)
+        assert (*grid, *block, shared, extra) == (1, 1, 1, 1, 0, 0)
+        assert function[0] == self.contexts[-1]
+        length = self.modules[function][1]
+        addresses = (ctypes.c_uint64 * length).from_address(parameters)
         values = [ctypes.c_int64.from_address(address).value for address in addresses]
-        run = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * _PARAMETERS)(function)
-        _NUMBERS["ntid"].value = threads
-        for _NUMBERS["ctaid"].value in range(blocks):
-            for _NUMBERS["tid"].value in range(threads):
-                run(*values)
-        self.launched += 1
+        run = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * length)(function[1])
+
+        def act() -> None:
+            _NUMBERS["ntid"].value = threads
+            for _NUMBERS["ctaid"].value in range(blocks):
+                for _NUMBERS["tid"].value in range(threads):
+                    run(*values)
+
+        self.streams[stream].append(act)
+        self.launched.append((function[0], values[0]))
         return (_Status.CUDA_SUCCESS,)
 
 
@@ -241,12 +292,18 @@ def host_driver(monkeypatch: pytest.MonkeyPatch) -> _HostDriver:
         monkeypatch.setitem(sys.modules, name, ModuleType(name))
     monkeypatch.setitem(sys.modules, driver.__name__, driver)
     for module in (cuda_driver, device_code):
-        monkeypatch.setattr(module, "opened_device", cuda_driver._open_device)
+        monkeypatch.setattr(module, "opened_devices", cuda_driver._open_devices)
     monkeypatch.setattr(cuda_driver, "_modules", OrderedDict())
     monkeypatch.setattr(device_code, "ptx_of", _ir_of)
+    monkeypatch.setattr(device_code, "outputs_ptx", _outputs_ir_of)
     return driver
 
 
 @once_for_all
 def _ir_of(kernel: Kernel, method: Explicit) -> bytes:
     return device_ir(kernel, method).encode()
+
+
+@once_for_all
+def _outputs_ir_of(kernel: Kernel, names: tuple[str, ...]) -> bytes:
+    return outputs_ir(kernel, names).encode()

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from collections.abc import Callable
 from enum import IntEnum
 from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
+from threading import Thread
 
 import llvmlite.binding as llvm
 import numpy as np
@@ -15,16 +17,18 @@ from host_cuda_driver import host_driver
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.common.errors import DeviceError, InputError, UnsupportedOperationError
+from pinred.common.errors import DeviceError, UnsupportedOperationError
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import Solutions
-from pinred.integrators.methods import DOP853, Gauss, Tsit5
+from pinred.integrators.methods import DOP853, Tsit5
 from pinred.integrators.stepping.call_wrapper import COMPILED
 from pinred.integrators.stepping.codes import DONE, TOO_MANY
 from pinred.integrators.stepping.compiling import compiled
-from pinred.integrators.stepping.run_state import EVALUATIONS_BETWEEN_PAUSES, Runs
+from pinred.integrators.stepping.run_state import EVALUATIONS_BETWEEN_PAUSES, LAYOUT, Runs
+from pinred.integrators.stepping.step_loop import OUTCOME
 from pinred.kernels.build import build_kernel
 from pinred.kernels.device import cuda_driver, device_code
+from pinred.kernels.device.few_rows import stepper_with_few_rows
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.state_layout import Structure
 
@@ -107,6 +111,17 @@ def test_ptx_is_cached_by_kernel_and_method(
     assert device_code.ptx_of(other, DOP853()) == b"new DOP853"
 
 
+def test_outputs_are_only_those_of_the_fields(kernel: Kernel) -> None:
+    """The base motion is most of the work, and shapes do not need it."""
+    few, many = (
+        device_code.emit_ptx(device_code.outputs_ir(kernel, names))
+        for names in (("x",), ("x", "pose", "energy", "body_momentum"))
+    )
+    assert f".entry {device_code.OUTPUTS_ENTRY}(".encode() in many
+    assert _EXTERN not in many
+    assert few.count(b".f64") < 0.1 * many.count(b".f64")
+
+
 @compiled
 def count_times(
     runs: Runs, params: Array, work: Array, times: Array, out: Array, ends: Array, states: Array
@@ -121,7 +136,7 @@ def test_step_loop_without_shipped_bitcode_is_compiled() -> None:
     result, error, *arguments = module.get_function(COMPILED).arguments
     assert str(result.type) == str(error.type) == "ptr"
     shipped = llvm.parse_bitcode(
-        device_code._bitcode(device_code._advance(DOP853())), llvm.create_context()
+        device_code._bitcode(stepper_with_few_rows(DOP853()).loops.advance), llvm.create_context()
     )
     expected = list(shipped.get_function(COMPILED).arguments)[2:]
     assert [str(a.type) for a in arguments] == [str(a.type) for a in expected]
@@ -141,7 +156,7 @@ def test_members_in_device_threads_equal_single_runs_bit_for_bit(
     times[::2, 3] = np.inf
     method = DOP853(rtol=1e-6, max_steps=12)
     many = device_code.integrate_on_device(method, kernel, params, y0, ends, times)
-    assert driver.launched == 1
+    assert driver.launched == [("context of 0", 66)]
     assert set(many.status) == {DONE, TOO_MANY}
     for k in range(66):
         _check_member(method, kernel, many, k, params[k], y0[k], float(ends[k]))
@@ -223,21 +238,118 @@ def test_method_that_needs_pow_is_refused_without_libdevice(
         device_code.device_ir(kernel, Tsit5())
 
 
-def test_implicit_method_is_refused(kernel: Kernel) -> None:
-    """They need derivatives, which no device code computes."""
-    with pytest.raises(InputError, match="method: expected DOP853 or Tsit5 on a device, got Gauss"):
-        device_code.integrate_on_device(Gauss(0.1), kernel, *_batch(kernel, 1), 1.0, [1.0])
-
-
 def test_errors_of_the_driver_release_its_memory(
     kernel: Kernel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The error names the function and the status."""
     driver = host_driver(monkeypatch)
-    driver.limit = 15_000  # enough for the registers of the runs and the parameters
-    with pytest.raises(DeviceError, match="cuMemAlloc failed: CUDA_ERROR_OUT_OF_MEMORY"):
+    monkeypatch.setattr(cuda_driver, "MOST", 8)
+    allocate = driver.cuMemAlloc
+
+    def second_fails(size: int) -> tuple[IntEnum, int]:
+        return allocate(2**40 if driver.memory else size)
+
+    monkeypatch.setattr(driver, "cuMemAlloc", second_fails)
+    with pytest.raises(DeviceError, match=r"second_fails failed: CUDA_ERROR_OUT_OF_MEMORY"):
         device_code.integrate_on_device(DOP853(), kernel, *_batch(kernel, 40), 1.0, [1.0])
-    assert (driver.memory, driver.contexts) == ({}, 0)
+    assert (driver.memory, driver.streams, driver.contexts) == ({}, {}, [])
+
+
+# --- launches -------------------------------------------------------------------------------
+
+
+def _states(kernel: Kernel, progress: Callable[[float], None] | None = None) -> Array:
+    """Return states of 66 members, whose ends and report times differ."""
+    params, y0 = _batch(kernel, 66)
+    ends = np.linspace(0.01, 0.02, 66)
+    times = ends[:, None] * np.array([0.3, 1.0])
+    method = DOP853(rtol=1e-6)
+    many = device_code.integrate_on_device(method, kernel, params, y0, ends, times, progress)
+    return many.y
+
+
+def test_members_are_divided_among_launches_and_devices(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Devices that cannot run the code are left out, and few members take one device."""
+    driver = host_driver(monkeypatch)
+    expected = _states(kernel)
+    assert driver.launched == [("context of 0", 66)]
+    monkeypatch.setattr(cuda_driver, "MOST", 7)
+    monkeypatch.setattr(cuda_driver, "LEAST", 40)
+    driver.capabilities = [(8, 6), (9, 0), (9, 0), (10, 0)]
+    driver.launched.clear()
+    fractions: list[float] = []
+    assert np.array_equal(_states(kernel, fractions.append), expected)
+    places, sizes = zip(*driver.launched, strict=True)
+    assert places == ("context of 1", "context of 2") * 5
+    assert sizes == (7,) * 9 + (3,)
+    assert fractions == [k / 66 for k in (*range(7, 66, 7), 66)]
+    assert (driver.memory, driver.streams, driver.contexts) == ({}, {}, [])
+
+
+def test_launches_fit_into_half_of_the_free_memory(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Others use the device, too."""
+    driver = host_driver(monkeypatch)
+    expected = _states(kernel)
+    driver.limit, driver.launched[:] = 40_000, []
+    largest, allocate = [0], driver.cuMemAlloc
+
+    def counted(size: int) -> tuple[IntEnum, int]:
+        result = allocate(size)
+        largest[0] = max(largest[0], sum(map(len, driver.memory.values())))
+        return result
+
+    monkeypatch.setattr(driver, "cuMemAlloc", counted)
+    assert np.array_equal(_states(kernel), expected)
+    assert len(driver.launched) > 1
+    assert 10_000 < largest[0] <= 25_000  # with the alignment of arrays
+
+
+def test_only_inputs_and_results_are_copied(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The registers of a run stay on the device, and states are not copied there."""
+    driver = host_driver(monkeypatch)
+    _states(kernel)
+    n, parameters = kernel.layout.size, kernel.layout.parameters
+    # Parameters, states, ends and times of a member; the registers of all.
+    assert driver.copied[0] == 66 * 8 * (parameters + n + 1 + 2) + LAYOUT.itemsize
+    assert driver.copied[1] == 66 * (8 * 2 * n + OUTCOME.itemsize)
+
+
+def test_interrupted_launches_release_their_memory(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C acts between two launches; those that wait are ended first."""
+    driver = host_driver(monkeypatch)
+    monkeypatch.setattr(cuda_driver, "MOST", 7)
+
+    def interrupt(_: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        _states(kernel, interrupt)
+    assert len(driver.launched) == 3
+    assert (driver.memory, driver.streams, driver.contexts) == ({}, {}, [])
+
+
+def test_one_thread_of_a_process_uses_the_devices(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Modules of one thread could be unloaded, and memory be missing, while another runs."""
+    driver = host_driver(monkeypatch)
+    expected, found = _states(kernel), list[Array]()
+    other = Thread(target=lambda: found.append(_states(kernel)))
+    with cuda_driver._running:
+        other.start()
+        other.join(2.0)
+        assert len(driver.launched) == 1
+    other.join()
+    assert np.array_equal(found[0], expected)
+    assert len(driver.launched) == 2
 
 
 def test_module_stays_loaded_for_the_next_run(
@@ -249,7 +361,7 @@ def test_module_stays_loaded_for_the_next_run(
     loaded: list[bytes] = []
     load = driver.cuModuleLoadData
 
-    def counted(image: bytes) -> tuple[IntEnum, int]:
+    def counted(image: bytes) -> tuple[IntEnum, tuple[str, int]]:
         loaded.append(image)
         return load(image)
 

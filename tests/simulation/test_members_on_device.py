@@ -62,7 +62,7 @@ def test_members_in_device_threads_agree_with_members_in_lanes(
         cat, device="cuda", explain=True, progress=fractions.append, **_options(cat)
     )
     assert "10 members one per thread of a device (cuda), DOP853" in capsys.readouterr().out
-    assert driver.launched == len(fractions) > 1
+    assert len(driver.launched) == len(fractions) > 1
     assert fractions[-1] == 1.0
     assert driver.memory == {}
     assert not device.failures
@@ -71,6 +71,67 @@ def test_members_in_device_threads_agree_with_members_in_lanes(
     bound[3] = 4.0 * np.spacing(2.0**22)
     for values, expected in ((device.x, cpu.x), (device.pose, cpu.pose)):
         assert (np.abs(values - expected).max(axis=(1, 2)) <= bound).all()
+
+
+@pytest.mark.parametrize("forces", [False, True], ids=["time is an input", "time is a state"])
+def test_states_are_computed_on_the_device(
+    cat: System, monkeypatch: pytest.MonkeyPatch, *, forces: bool
+) -> None:
+    """Two members have no momentum, so each launch computes the states of some members only."""
+    driver = host_driver(monkeypatch)
+    options = _options(cat) | ({} if forces else {"forces": []})
+    xi0 = np.repeat([options["xi0"]], 10, axis=0)
+    xi0[[1, 7]] = 0.0
+    rates = np.full((10, cat.m), 0.5)
+    rates[[1, 7]] = 0.0
+    options["members"] |= {"xi0": xi0, "xdot0": rates}
+    options["members"]["x0"][3] = 0.1
+    del options["xi0"], options["xdot0"]
+    cpu = pinred.simulate_many(cat, **options)
+    device = pinred.simulate_many(cat, device="cuda", **options)
+    before, driver.launched[:] = tuple(driver.copied), []
+    energy = device.fields(["energy"])["energy"]
+    assert sum(size for _, size in driver.launched) == 10
+    assert driver.copied[1] - before[1] == energy.nbytes  # nothing else is copied
+    np.testing.assert_allclose(energy, cpu.energy, rtol=0, atol=1e-12)
+    for name in ("x", "xdot", "xi", "pose", "q", "v", "body_momentum", "spatial_momentum"):
+        values, expected = getattr(device, name), getattr(cpu, name)
+        np.testing.assert_allclose(values, expected, rtol=0, atol=1e-12, err_msg=name)
+        for member in (1, 4):
+            assert np.array_equal(getattr(device[member], name), values[member]), name
+
+
+def test_states_of_shapes_alone_are_computed_on_the_device(
+    cat: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without the base there are fewer fields."""
+    driver = host_driver(monkeypatch)
+    options = _options(cat) | {"outputs": "shape", "momentum": 0.0}
+    options["members"]["x0"][3] = 0.1
+    del options["xi0"]
+    device = pinred.simulate_many(cat, device="cuda", **options)
+    cpu = pinred.simulate_many(cat, **options)
+    launches = len(driver.launched)
+    np.testing.assert_allclose(device.xdot, cpu.xdot, rtol=0, atol=1e-12)
+    assert len(driver.launched) == launches + 1
+    assert np.array_equal(device[2].energy, device.energy[2])
+
+
+def test_states_with_functions_that_devices_lack_are_computed_on_the_cpu(
+    cat: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A potential may need functions that its forces do not."""
+    driver = host_driver(monkeypatch)
+    options = _options(cat)
+    device = pinred.simulate_many(cat, device="cuda", **options)
+    launches = len(driver.launched)
+
+    def refuse(*_: object) -> bytes:
+        raise UnsupportedOperationError("device: no log")
+
+    monkeypatch.setattr(device_code, "outputs_ptx", refuse)
+    assert np.isfinite(device.energy).all()
+    assert len(driver.launched) == launches
 
 
 def test_body_without_reduced_states_moves_on_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,17 +223,17 @@ def test_missing_package_names_the_extra_before_code_is_generated(
 
 def test_missing_device_is_an_error_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     """The driver may be installed without a device."""
-    host_driver(monkeypatch).capability = None
+    host_driver(monkeypatch).capabilities = []
     message = r"found none \(.*cuInit failed: CUDA_ERROR_NO_DEVICE\)\. Omit device"
     with pytest.raises(DeviceError, match=message):
-        cuda_driver._open_device()
+        cuda_driver._open_devices()
 
 
 def test_device_of_a_lower_capability_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """Older devices reject the PTX."""
-    host_driver(monkeypatch).capability = (8, 6)
-    with pytest.raises(DeviceError, match=r"capability 9\.0 or higher, got 8\.6"):
-        cuda_driver._open_device()
+    host_driver(monkeypatch).capabilities = [(8, 6), (7, 5)]
+    with pytest.raises(DeviceError, match=r"capability 9\.0 or higher, got 8\.6, 7\.5"):
+        cuda_driver._open_devices()
 
 
 def test_stand_in_has_functions_of_the_driver_only(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,4 +261,4 @@ def test_machine_without_the_driver_is_an_error() -> None:
     if has_device:
         pytest.skip("this machine has a device")
     with pytest.raises(DeviceError, match="expected a CUDA device and NVIDIA's driver, found none"):
-        cuda_driver._open_device()
+        cuda_driver._open_devices()

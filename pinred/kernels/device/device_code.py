@@ -1,8 +1,9 @@
 """Batches on a CUDA device as LLVM IR and PTX: one thread integrates one member.
 
-The step loop is the bitcode that integrates single runs on the CPU (`step_loop.advance`), and the
-vector field is the IR of the kernel.  The entry point only addresses the arrays of a member.  A
-thread copies the registers of its run, and keeps the work rows, in its local memory.
+The step loop is bitcode with the operations of single runs on the CPU, on fewer work rows
+(`few_rows.py`), and the vector field is the IR of the kernel.  The entry point only addresses the
+arrays of a member.  A thread copies the registers of its run, and keeps the work rows, in its local
+memory.  Another entry point computes fields of states from reduced states, one state per thread.
 
 Devices have no libm, so the module also generates the sine and cosine of angles of any size.
 
@@ -14,36 +15,41 @@ The product of m with a window of 256 digits is exact modulo 2²⁵⁶.
 from __future__ import annotations
 
 import json
+import math
 import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import llvmlite.binding as llvm
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from ...common.arrays import read_only
-from ...common.errors import InputError, UnsupportedOperationError
+from ...common.arrays import Array, read_only
+from ...common.errors import UnsupportedOperationError
 from ...common.machine_code import LLVM_LOCK
 from ...common.memo import once, once_for_all
 from ...common.object_cache import ObjectCache, cache_key
 from ...common.optional_packages import install_command
 from ...integrators.integrate import begun_by
 from ...integrators.integrate_many import Solutions, checked_batch, solutions
-from ...integrators.methods.method import Explicit, Method, stepper_of
+from ...integrators.methods.method import Explicit
 from ...integrators.stepping.argument_types import argument_type, plain_value
 from ...integrators.stepping.call_wrapper import COMPILED
-from ...integrators.stepping.codes import PAUSED
 from ...integrators.stepping.run_state import LAYOUT, NOT_CANONICAL, new_run
 from ...integrators.stepping.shipped_code import find_shipped, shipped_name
+from ...integrators.stepping.step_loop import OUTCOME
+from ...system.state_fields import FIELDS
 from ..build import model_bytes
-from ..kernel import Kernel
+from ..kernel import Kernel, in_given_order
 from ..machine.lowering import lower
 from ..machine.sincos import PARTS, constant, declarations, rotated_ir
 from ..reduced_graph import ReducedGraph
-from .cuda_driver import CAPABILITY, opened_device, run_on_device
+from .cuda_driver import CAPABILITY, Launch, opened_devices, run_on_devices
+from .few_rows import stepper_with_few_rows
 
 _DIGITS = 1225  # number of binary digits of 2/π that the largest angles need
 _WINDOW = 32  # length of a window [bytes]
@@ -158,6 +164,7 @@ ret {{double, double}} %result
 
 
 ENTRY = "integrate_members"  # name of the entry point
+OUTPUTS_ENTRY = "evaluate_outputs"
 _CPU, _FEATURES = f"sm_{CAPABILITY[0]}{CAPABILITY[1]}", "+ptx80"  # PTX of CUDA 12.0
 _TRIPLE = "nvptx64-nvidia-cuda"
 _LEVEL = 2  # of code generation
@@ -186,22 +193,39 @@ def ptx_of(kernel: Kernel, method: Explicit) -> bytes:
     Raises:
         UnsupportedOperationError: The code needs a function that devices do not have.
     """
-    advance = _advance(method)
+    advance = stepper_with_few_rows(method).loops.advance
     loop = advance.py_func.__name__, advance.stamp
+    return _cached_ptx(kernel, loop, lambda: device_ir(kernel, method))
 
+
+def outputs_ptx(kernel: Kernel, names: Sequence[str]) -> bytes:
+    """Return the PTX that computes fields of states, from the cache if it is there.
+
+    Args:
+        kernel: The kernel.
+        names: Names of the fields.
+    Returns:
+        The PTX.
+    Raises:
+        UnsupportedOperationError: The code needs a function that devices do not have.
+    """
+    return _cached_ptx(kernel, ("outputs", *names), lambda: outputs_ir(kernel, names))
+
+
+def _cached_ptx(kernel: Kernel, kind: tuple[str, ...], make_ir: Callable[[], str]) -> bytes:
     def load() -> bytes:
         forces = None if kernel.forces is None else kernel.forces.key
-        settings = asdict(kernel.structure) | {"forces": forces, "ptx": [_CPU, *loop]}
+        settings = asdict(kernel.structure) | {"forces": forces, "ptx": [_CPU, *kind]}
         key = cache_key(model_bytes(kernel.system, kernel.structure.freed), json.dumps(settings))
         return ObjectCache().get_or_compile(
-            key, lambda: emit_ptx(device_ir(kernel, method)), f"'{kernel.system.name}' for a device"
+            key, lambda: emit_ptx(make_ir()), f"'{kernel.system.name}' for a device"
         )
 
-    return once(kernel, (ptx_of, *loop), load)
+    return once(kernel, (_cached_ptx, *kind), load)
 
 
 def device_ir(kernel: Kernel, method: Explicit) -> str:
-    """Return the IR of all code on the device: step loop, kernel and entry point.
+    """Return the IR that integrates members: step loop, kernel and entry point.
 
     Args:
         kernel: The kernel.
@@ -214,21 +238,62 @@ def device_ir(kernel: Kernel, method: Explicit) -> str:
     rate = ReducedGraph(kernel.system, kernel.structure, kernel.forces).rate()
     # Without states, one number is integrated instead.
     n = max(kernel.layout.size, 1)
-    texts = [
-        lower(rate, "rate", fma=True),
-        _entry(n, kernel.layout.parameters, stepper_of(method).work(n).shape),
-        large_angles_ir(),
-        _SQRT,
-    ]
-    loop = _bitcode(_advance(method))
+    stepper = stepper_with_few_rows(method)
+    entry = _entry(n, kernel.layout.parameters, stepper.work(n).shape)
+    texts = [lower(rate, "rate", fma=True), entry]
+    user = f"{method.name} or the forces"
+    return _linked_ir(kernel, user, texts, ENTRY, _bitcode(stepper.loops.advance))
+
+
+def outputs_ir(kernel: Kernel, names: Sequence[str]) -> str:
+    """Return the IR that computes fields of states, one state per thread.
+
+    Args:
+        kernel: The kernel.
+        names: Names of the fields; nothing else is computed.
+    Returns:
+        The IR, for the device, with no function undefined.
+    Raises:
+        UnsupportedOperationError: The code needs a function that devices do not have.
+    """
+    every = ReducedGraph(kernel.system, kernel.structure, kernel.forces).outputs()
+    inputs = every.sx_in()
+    slices = [kernel.where.fields[name] for name in names]
+    wanted = ca.vertcat(*[every(*inputs)[part] for part in slices])
+    outputs = ca.Function("outputs", inputs, [ca.densify(wanted)], {"cse": True})
+    entry = _outputs_entry(kernel, inputs[1].numel(), [part.stop - part.start for part in slices])
+    texts = [lower(outputs, "outputs", fma=True), entry]
+    return _linked_ir(kernel, "states", texts, OUTPUTS_ENTRY)
+
+
+def _linked_ir(
+    kernel: Kernel, user: str, texts: list[str], entry: str, loop: bytes | None = None
+) -> str:
+    """Link IR with what devices lack.
+
+    Args:
+        kernel: The kernel.
+        user: What the code computes, for messages.
+        texts: IR.
+        entry: Name of the entry point.
+        loop: Bitcode of a step loop, None for none.
+    Returns:
+        The IR, for the device, with no function undefined.
+    Raises:
+        UnsupportedOperationError: The code needs a function that devices do not have.
+    """
+    texts = [*texts, large_angles_ir(), _SQRT]
     with LLVM_LOCK:
         context = llvm.create_context()
-        module = llvm.parse_bitcode(loop, context)
-        module = llvm.parse_assembly(_with_direct_calls(str(module)), context)
         machine = _machine()
+        if loop is None:
+            module = llvm.parse_assembly(texts.pop(0), context)
+        else:
+            module = llvm.parse_bitcode(loop, context)
+            module = llvm.parse_assembly(_with_direct_calls(str(module)), context)
         for text in texts:
             module.link_in(llvm.parse_assembly(text, context))
-        missing = _settle(module, machine)
+        missing = _settle(module, machine, entry)
         if missing and (library := _libdevice()) is not None:
             library = llvm.parse_bitcode(library, context)
             known = {function.name for function in library.functions if not function.is_declaration}
@@ -236,12 +301,12 @@ def device_ir(kernel: Kernel, method: Explicit) -> str:
             module.close()
             module = llvm.parse_assembly(text, context)
             module.link_in(library)
-            missing = _settle(module, machine)
+            missing = _settle(module, machine, entry)
         ir = str(module)
         module.close()  # before its context is deleted
     if missing:
         raise UnsupportedOperationError(
-            f"device: {method.name} or the forces on '{kernel.system.name}' need "
+            f"device: {user} on '{kernel.system.name}' need "
             f"{', '.join(missing)}, for which there is no device code. {_remedy()}, or integrate "
             "without device"
         )
@@ -249,7 +314,7 @@ def device_ir(kernel: Kernel, method: Explicit) -> str:
 
 
 def emit_ptx(ir: str) -> bytes:
-    """Generate the PTX of `device_ir`."""
+    """Generate the PTX of code for the device."""
     with LLVM_LOCK:
         context = llvm.create_context()
         module = llvm.parse_assembly(ir, context)
@@ -258,11 +323,11 @@ def emit_ptx(ir: str) -> bytes:
     return text.encode()
 
 
-def _settle(module: Any, machine: Any) -> list[str]:
+def _settle(module: Any, machine: Any, entry: str) -> list[str]:
     """Inline and remove functions of a module for the device; return the names that it lacks."""
     module.triple, module.data_layout = _TRIPLE, str(machine.target_data)
     for function in module.functions:
-        if not function.is_declaration and function.name != ENTRY:
+        if not function.is_declaration and function.name != entry:
             function.linkage = "internal"
     passes = llvm.create_new_module_pass_manager()
     passes.add_always_inliner_pass()
@@ -315,21 +380,27 @@ def _remedy() -> str:
 # --- step loop ------------------------------------------------------------------------------
 
 
-def _advance(method: Explicit) -> Any:
-    """Return the compiled step loop of single runs."""
-    return stepper_of(method).loops.advance
+def loop_arguments() -> tuple[Any, ...]:
+    """Return arguments of a step loop, for a run that has reached its end."""
+    numbers, rows = np.zeros(2), np.zeros((2, 2))
+    fixed = read_only(np.zeros(2))
+    return new_run(begun=1), fixed, rows, fixed, rows, numbers, rows
 
 
 @once_for_all
 def _bitcode(advance: Any) -> bytes:
     """Return the bitcode of a step loop: what is shipped, or else what numba compiles."""
-    numbers, rows = np.zeros(2), np.zeros((2, 2))
-    fixed = read_only(np.zeros(2))
-    arguments = (new_run(), fixed, rows, fixed, rows, numbers, rows)
+    arguments = loop_arguments()
     kinds = tuple(argument_type(plain_value(argument)) for argument in arguments)
     shipped = find_shipped(shipped_name(advance.py_func, kinds, advance.stamp))
     if shipped is not None:
         return shipped.module
+    key = cache_key(advance.py_func.__name__, advance.stamp)
+    what = f"the steps {advance.py_func.__name__} for devices"
+    return ObjectCache().get_or_compile(key, lambda: _compiled_bitcode(advance, arguments), what)
+
+
+def _compiled_bitcode(advance: Any, arguments: tuple[Any, ...]) -> bytes:
     from numba import typeof
     from numba.core.caching import NullCache
 
@@ -372,12 +443,34 @@ def _array(data: str, itemsize: int, size: str, *shape: str | int) -> str:
     return f"ptr null, ptr null, i64 {size}, i64 {itemsize}, ptr {data}, {numbers}"
 
 
+def _thread_ir(size: str) -> str:
+    """Generate the start of an entry point: `%thread`, and the end of threads beyond `size`."""
+    special = ("tid", "ctaid", "ntid")
+    reads = "\n".join(
+        f"%{name}32 = call i32 @llvm.nvvm.read.ptx.sreg.{name}.x()\n"
+        f"%{name} = zext i32 %{name}32 to i64"
+        for name in special
+    )
+    return f"""\
+{reads}
+%before = mul i64 %ctaid, %ntid
+%thread = add i64 %before, %tid
+%isthread = icmp slt i64 %thread, {size}
+br i1 %isthread, label %begin, label %end
+begin:"""
+
+
+_SPECIAL = "\n".join(
+    f"declare i32 @llvm.nvvm.read.ptx.sreg.{name}.x()" for name in ("tid", "ctaid", "ntid")
+)
+
+
 def _entry(n: int, parameters: int, rows: tuple[int, ...]) -> str:
     """Generate the entry point. Each thread executes it for one member.
 
     Its arguments are N, T, and R, the number of rows of report times, 1 or N; then the addresses of
-    runs (N,), parameters (N, p), initial states (N, n), report times (R, T), states (N, T, n), and
-    of the values that `advance` returns (N,).
+    the registers of all runs (1,), parameters (N, p), initial states (N, n), end times (N,), report
+    times (R, T), states (N, T, n), and outcomes (N,).
 
     Args:
         n: Number of entries of the state.
@@ -398,50 +491,120 @@ def _entry(n: int, parameters: int, rows: tuple[int, ...]) -> str:
         _array("%nothing", 8, "0", 0, n),
     ])  # fmt: skip
     kinds = ", ".join(argument.split()[0] for argument in arguments.split(", "))
-    special = ("tid", "ctaid", "ntid")
-    reads = "\n".join(
-        f"%{name}32 = call i32 @llvm.nvvm.read.ptx.sreg.{name}.x()\n"
-        f"%{name} = zext i32 %{name}32 to i64"
-        for name in special
+    registers, outcome = LAYOUT.fields, OUTCOME.fields
+    assert registers is not None
+    assert outcome is not None
+    stores = "\n".join(
+        f"%{name}.from = getelementptr i8, ptr %run, i64 {registers[name][1]}\n"
+        f"%{name}.to = getelementptr i8, ptr %outcome, i64 {outcome[name][1]}\n"
+        f"%{name} = load i64, ptr %{name}.from\n"
+        f"store i64 %{name}, ptr %{name}.to"
+        for name in ("t", "entry", "steps", "rejected", "evaluations")
     )
     return f"""\
 declare i32 @{COMPILED}({kinds})
 declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)
-{"".join(f"declare i32 @llvm.nvvm.read.ptx.sreg.{name}.x(){chr(10)}" for name in special)}
-define ptx_kernel void @{ENTRY}(i64 %N, i64 %T, i64 %R, ptr %allruns, ptr %allparams,
-                                ptr %ally0, ptr %alltimes, ptr %ally, ptr %allstatus) {{
+{_SPECIAL}
+define ptx_kernel void @{ENTRY}(i64 %N, i64 %T, i64 %R, ptr %allruns, ptr %allparams, ptr %ally0,
+                                ptr %allends, ptr %alltimes, ptr %ally, ptr %alloutcomes) {{
 %run = alloca [{run} x i8], align 8
 %work = alloca [{count * stride} x double], align 32
 %result = alloca i64
 %error = alloca i64
 %nothing = alloca i64
-{reads}
-%before = mul i64 %ctaid, %ntid
-%member = add i64 %before, %tid
-%ismember = icmp slt i64 %member, %N
-br i1 %ismember, label %integrate, label %end
-integrate:
+{_thread_ir("%N")}
 %numbers = mul i64 %T, {n}
-%params.first = mul i64 %member, {parameters}
-%y0.first = mul i64 %member, {n}
-%times.row = urem i64 %member, %R
+%params.first = mul i64 %thread, {parameters}
+%y0.first = mul i64 %thread, {n}
+%times.row = urem i64 %thread, %R
 %times.first = mul i64 %times.row, %T
-%y.first = mul i64 %member, %numbers
-%own = getelementptr [{run} x i8], ptr %allruns, i64 %member
+%y.first = mul i64 %thread, %numbers
 %params = getelementptr double, ptr %allparams, i64 %params.first
 %y0 = getelementptr double, ptr %ally0, i64 %y0.first
+%end.from = getelementptr double, ptr %allends, i64 %thread
 %times = getelementptr double, ptr %alltimes, i64 %times.first
 %y = getelementptr double, ptr %ally, i64 %y.first
-%status = getelementptr i64, ptr %allstatus, i64 %member
-call void @llvm.memcpy.p0.p0.i64(ptr %run, ptr %own, i64 {run}, i1 false)
+%outcome = getelementptr [{OUTCOME.itemsize} x i8], ptr %alloutcomes, i64 %thread
+call void @llvm.memcpy.p0.p0.i64(ptr %run, ptr %allruns, i64 {run}, i1 false)
+%end.to = getelementptr i8, ptr %run, i64 {registers["t_end"][1]}
+%end.time = load double, ptr %end.from
+store double %end.time, ptr %end.to
 call void @llvm.memset.p0.i64(ptr %work, i8 0, i64 {8 * count * stride}, i1 false)
 call void @llvm.memcpy.p0.p0.i64(ptr %work, ptr %y0, i64 {8 * n}, i1 false)
 %code = call i32 @{COMPILED}({arguments})
-%value = load i64, ptr %result
-store i64 %value, ptr %status
-call void @llvm.memcpy.p0.p0.i64(ptr %own, ptr %run, i64 {run}, i1 false)
-br label %end
+%status = load i64, ptr %result
+%status.to = getelementptr i8, ptr %outcome, i64 {outcome["status"][1]}
+store i64 %status, ptr %status.to
+{stores}
+%next.from = getelementptr i8, ptr %run, i64 {registers["next"][1]}
+%next = load i64, ptr %next.from
+%missing.first = mul i64 %next, {n}
+br label %missing
+; States at times that the run did not reach are NaN.
+missing:
+%k = phi i64 [ %missing.first, %begin ], [ %k.next, %fill ]
+%ismissing = icmp slt i64 %k, %numbers
+br i1 %ismissing, label %fill, label %end
+fill:
+%at = getelementptr double, ptr %y, i64 %k
+store double {constant(math.nan)}, ptr %at
+%k.next = add i64 %k, 1
+br label %missing
+end:
+ret void
+}}
+"""
+
+
+def _outputs_entry(kernel: Kernel, constants: int, sizes: Sequence[int]) -> str:
+    """Generate the entry point of outputs. Each thread executes it for one state.
+
+    Its arguments are N and T; then the addresses of constants (N, c), states (N, T, n), times (T,),
+    and of each field (N, T, size).
+
+    Args:
+        kernel: The kernel.
+        constants: Number of constants.
+        sizes: Number of entries of each field.
+    Returns:
+        The LLVM IR.
+    """
+    fields = ", ".join(f"ptr %field{k}" for k in range(len(sizes)))
+    copies, first = "", 0
+    for k, size in enumerate(sizes):
+        copies += (
+            f"%from{k} = getelementptr double, ptr %out, i64 {first}\n"
+            f"%offset{k} = mul i64 %thread, {size}\n"
+            f"%to{k} = getelementptr double, ptr %field{k}, i64 %offset{k}\n"
+            f"call void @llvm.memcpy.p0.p0.i64(ptr %to{k}, ptr %from{k}, i64 {8 * size}, i1 0)\n"
+        )
+        first += size
+    entries = kernel.layout.size
+    return f"""\
+declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
+declare void @outputs(ptr, ptr, ptr)
+{_SPECIAL}
+define ptx_kernel void @{OUTPUTS_ENTRY}(i64 %N, i64 %T, ptr %allconstants, ptr %ally, ptr %times,
+                                        {fields}) {{
+%row = alloca [{entries + 1} x double], align 8
+%out = alloca [{first} x double], align 8
+%threads = mul i64 %N, %T
+{_thread_ir("%threads")}
+%member = udiv i64 %thread, %T
+%j = urem i64 %thread, %T
+%constants.first = mul i64 %member, {constants}
+%constants = getelementptr double, ptr %allconstants, i64 %constants.first
+%y.first = mul i64 %thread, {max(entries, 1)}
+%y = getelementptr double, ptr %ally, i64 %y.first
+call void @llvm.memcpy.p0.p0.i64(ptr %row, ptr %y, i64 {8 * entries}, i1 false)
+%time.from = getelementptr double, ptr %times, i64 %j
+%time = load double, ptr %time.from
+; It is no input if the state contains the time.
+%time.to = getelementptr double, ptr %row, i64 {entries}
+store double %time, ptr %time.to
+call void @outputs(ptr %row, ptr %constants, ptr %out)
+{copies}br label %end
 end:
 ret void
 }}
@@ -452,12 +615,13 @@ _NO_PAUSE = 2**62  # number of evaluations before a run pauses
 
 
 def integrate_on_device(
-    method: Method,
+    method: Explicit,
     kernel: Kernel,
     params: ArrayLike,
     y0: ArrayLike,
     t_end: ArrayLike,
     times: ArrayLike,
+    progress: Callable[[float], None] | None = None,
 ) -> Solutions:
     """Integrate ẏ = f(y, params[i]) from y0[i] for all members i, one member per thread.
 
@@ -471,6 +635,7 @@ def integrate_on_device(
         y0: Initial states, (N, n).
         t_end: End time, or one for each member, (N,) [s].
         times: Sorted report times, (T,) or (N, T), as for `integrate_many` [s].
+        progress: Called with the completed fraction of the members.
     Returns:
         The solutions, member first.
     Raises:
@@ -479,22 +644,63 @@ def integrate_on_device(
         MissingPackageError: `cuda.bindings` is not installed.
         UnsupportedOperationError: The code needs a function that devices do not have.
     """
-    if not isinstance(method, Explicit):
-        raise InputError(
-            f"method: expected DOP853 or Tsit5 on a device, got {method.name}. Choose one of them"
-        )
-    opened_device()  # report a missing device before its code is generated
+    opened_devices()  # report a missing device before its code is generated
     quaternions = kernel.layout.quaternions
     asked = checked_batch(kernel.rate.address, params, y0, t_end, times, quaternions, 1)
     batch = asked.batch
-    (size, n), (rows, columns) = batch.y0.shape, batch.times.shape
-    first = begun_by(method, kernel.rate.address, n, asked.end, quaternions, NOT_CANONICAL)
-    runs = np.repeat(first, size)
-    runs["t_end"], runs["budget"] = batch.ends, _NO_PAUSE
-    status = np.full(size, PAUSED)
-    arrays = (runs, batch.params, batch.y0, batch.times, batch.y, status)
-    run_on_device(ptx_of(kernel, method), ENTRY, size, (size, columns, rows, *arrays))
-    batch.outcomes["status"] = status
-    for name in ("t", "entry", "steps", "rejected", "evaluations"):
-        batch.outcomes[name] = runs[name]
+    n, (rows, columns) = batch.y0.shape[1], batch.times.shape
+    run = begun_by(method, kernel.rate.address, n, asked.end, quaternions, NOT_CANONICAL)
+    run["budget"] = _NO_PAUSE
+    launch = Launch(
+        ptx_of(kernel, method),
+        ENTRY,
+        (columns, rows),
+        (run, batch.params, batch.y0, batch.ends, batch.times),
+        (batch.y, batch.outcomes),
+    )
+    run_on_devices(launch, progress)
     return solutions(method, batch)
+
+
+def fill_fields_on_device(
+    kernel: Kernel,
+    constants: Array,
+    y: Array,
+    times: Array,
+    members: NDArray[np.int64],
+    fields: Mapping[str, Array],
+) -> None:
+    """Compute fields of the states of N members on CUDA devices, one state per thread.
+
+    Args:
+        kernel: The kernel.
+        constants: Inputs of the outputs besides states and time, (N, c).
+        y: Reduced states, (N, T, k).
+        times: Times, (T,) [s].
+        members: Row of each member in `fields`, (N,) sorted.
+        fields: Fields of State except the time, (M, T, …), of which the members' rows are filled.
+    Raises:
+        DeviceError: There is no device that can run the code, or it reports an error.
+        MissingPackageError: `cuda.bindings` is not installed.
+        UnsupportedOperationError: The code needs a function that devices do not have.
+    """
+    opened_devices()
+    results = {}
+    for name, field in fields.items():
+        part = kernel.where.fields[name]
+        # Other fields have the joints in another order, or rows of other members.
+        direct = len(members) == len(field) and FIELDS[name].axis not in ("nq", "nv")
+        shape = (*y.shape[:2], part.stop - part.start)
+        results[name] = field if direct else np.empty(shape)
+    launch = Launch(
+        outputs_ptx(kernel, tuple(fields)),
+        OUTPUTS_ENTRY,
+        (len(times),),
+        (constants, np.ascontiguousarray(y), times[None]),
+        tuple(results.values()),
+        each=len(times),
+    )
+    run_on_devices(launch)
+    for name, values in results.items():
+        if values is not fields[name]:
+            fields[name][members] = in_given_order(name, values, kernel.system)

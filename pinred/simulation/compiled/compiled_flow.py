@@ -8,13 +8,14 @@ structure, the indices of these copies are therefore computed once.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from weakref import ref
 
 import numpy as np
 
 from ...common.arrays import Array, read_only
-from ...common.errors import InputError
+from ...common.errors import InputError, UnsupportedOperationError
 from ...common.memo import once, recent
 from ...forces.force_model import ForceModel
 from ...forces.force_numbers import SpanNumbers
@@ -30,13 +31,13 @@ from ...kernels.initial_conditions import (
     InitialConditionsKernel,
     initial_conditions_kernel,
 )
-from ...kernels.kernel import Kernel, Outputs
+from ...kernels.kernel import Kernel, Outputs, in_given_order
 from ...kernels.state_layout import Layout
 from ...reduction.base_parts import into_body, root_of
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
 from ...system.coordinates import Indices
-from ...system.state_fields import FIELDS, ShapeState, State
+from ...system.state_fields import ShapeState, State
 from ...system.system import System, nominal
 from ..plan import NO_DIFFERENCES, MemberParameters, Plan
 from ..reduced_flow import Sample, entry_name
@@ -427,9 +428,14 @@ class CompiledFlow:
         return state_class(t=t.copy(), **fields)
 
     def fill_states(
-        self, t: Array, y: Array, members: Indices, fields: Mapping[str, Array]
+        self,
+        t: Array,
+        y: Array,
+        members: Indices,
+        fields: Mapping[str, Array],
+        device: str | None = None,
     ) -> None:
-        """Compute the states of N members at common times, with the bits of `states`.
+        """Compute the states of N members at common times, on the CPU with the bits of `states`.
 
         Args:
             t: Times, (T,) [s].
@@ -437,7 +443,16 @@ class CompiledFlow:
             members: Row of each member in `fields`, (N,).
             fields: Fields of State except the time, (M, T, …), of which the members' rows are
                 filled.
+            device: "cuda" for CUDA devices, None for the CPU. The CPU also computes what devices
+                have no functions for.
         """
+        if device is not None and fields:
+            from ...kernels.device.device_code import fill_fields_on_device
+
+            constants = np.concatenate([self.parameters, self.path], axis=1)
+            with suppress(UnsupportedOperationError):
+                fill_fields_on_device(self.kernel, constants, y, t, members, fields)
+                return
         kernel, (N, T, _) = self.kernel, y.shape
         layout, where = kernel.layout, kernel.where
         times = t[:0] if layout.clock else t
@@ -492,16 +507,7 @@ def read_field(where: Outputs, name: str, outputs: Array, system: System) -> Arr
     Returns:
         The field: (…,) for scalars, else (…, length of the field's axis).
     """
-    values = outputs[..., where.fields[name]]
-    match FIELDS[name].axis:
-        case "nq":
-            return system.given_q(values)
-        case "nv":
-            return system.given_v(values)
-        case None:
-            return values[..., 0]
-        case _:
-            return values
+    return in_given_order(name, outputs[..., where.fields[name]], system)
 
 
 def rate_address(kernel: Kernel, method: Method) -> int:

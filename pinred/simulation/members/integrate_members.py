@@ -69,9 +69,7 @@ def integrate_members(
             if device is None:
                 solutions = _integrate_piece(part, method, piece, initial, threads, done)
             else:
-                solutions = _integrate_on_device(part, method, piece, initial)
-                if done is not None:
-                    done(1.0)
+                solutions = _integrate_on_device(part, method, piece, initial, done)
             _store(y, runs, piece, solutions)
             status[runs], entry[runs] = solutions.status, solutions.entry
             steps[runs] += solutions.steps
@@ -91,7 +89,7 @@ def integrate_members(
     wild = ((j, wild_steps(flow.kernel, plan, y[j], reports)) for j in unchecked)
     failures += [Failure(int(members[j]), plan.scene.end, reason) for j, reason in wild if reason]
     wall = (perf_counter() - began) / count
-    return Batch(members, flow, plan.method.name, y, steps, evaluations, failures, wall)
+    return Batch(members, flow, plan.method.name, y, steps, evaluations, failures, wall, device)
 
 
 def lanes_of(method: Method, kernel: Kernel) -> int:
@@ -222,12 +220,19 @@ def _integrate_piece(
     )  # fmt: skip
 
 
-def _integrate_on_device(flow: CompiledFlow, method: Method, piece: _Piece, y0: Array) -> Solutions:
-    """Integrate members from y0 (N, k) on a CUDA device, each over one time span."""
+def _integrate_on_device(
+    flow: CompiledFlow,
+    method: Method,
+    piece: _Piece,
+    y0: Array,
+    progress: Callable[[float], None] | None,
+) -> Solutions:
+    """Integrate members from y0 (N, k) on CUDA devices, each over one time span."""
     from ...kernels.device.device_code import integrate_on_device
 
+    assert isinstance(method, Explicit), "`check_device` refuses others"
     parameters, lengths, times = _inputs(flow, piece)
-    return integrate_on_device(method, flow.kernel, parameters, y0, lengths, times)
+    return integrate_on_device(method, flow.kernel, parameters, y0, lengths, times, progress)
 
 
 def _inputs(flow: CompiledFlow, piece: _Piece) -> tuple[Array, Array | float, Array]:

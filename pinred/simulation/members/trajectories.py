@@ -60,6 +60,7 @@ class Batch:
         evaluations: Number of evaluations of the vector field for each member, (N,).
         failures: Members that did not reach their end time.
         wall: Mean wall time of one member [s].
+        device: "cuda" if CUDA devices also compute the states, None for the CPU.
     """
 
     members: Indices
@@ -70,6 +71,7 @@ class Batch:
     evaluations: NDArray[np.int64]
     failures: list[Failure]
     wall: float
+    device: str | None = None
 
 
 @checks_arguments
@@ -144,6 +146,11 @@ class Trajectories(OverTime):
         return self._first_scene.outputs == "all"
 
     @property
+    def _missing(self) -> State | ShapeState:
+        """The states of a member that was never simulated."""
+        return _missing_states(self.system, self.t, wanted=self._wants_all)
+
+    @property
     def system(self) -> System:
         """The system that moves."""
         return self._first_scene.system
@@ -208,12 +215,12 @@ class Trajectories(OverTime):
                 )
         if "outputs" in vars(self):
             return {name: getattr(self.outputs, name) for name in names}
-        missing = arrays_of(_missing_states(self.system, self.t, wanted=self._wants_all))
+        missing = arrays_of(self._missing)
         fields = {name: np.empty((len(self), *missing[name].shape)) for name in names}
         alone = np.ones(len(self), bool)
         for batch in self._batches:
             assert batch.flow is not None
-            batch.flow.fill_states(self.t, batch.y, batch.members, fields)
+            batch.flow.fill_states(self.t, batch.y, batch.members, fields, batch.device)
             alone[batch.members] = False
         for member in np.flatnonzero(alone).tolist():
             states = self._states(member)
@@ -300,10 +307,16 @@ class Trajectories(OverTime):
             return _up_to(self._single[member], self.t, self.system, wanted=self._wants_all)
         place = self._place(member)
         if place is None:
-            return _missing_states(self.system, self.t, wanted=self._wants_all)
+            return self._missing
         batch, k = place
         assert batch.flow is not None
-        return batch.flow[k].states(self.t, batch.y[k])
+        if batch.device is None:
+            return batch.flow[k].states(self.t, batch.y[k])
+        # Devices round otherwise, and these states are those of the arrays.
+        rows, missing = slice(k, k + 1), self._missing
+        fields = {n: np.empty((1, *a.shape)) for n, a in arrays_of(missing).items() if n != "t"}
+        batch.flow[rows].fill_states(self.t, batch.y[rows], np.zeros(1, int), fields, batch.device)
+        return type(missing)(t=self.t, **{name: values[0] for name, values in fields.items()})
 
     def _place(self, member: int) -> tuple[Batch, int] | None:
         """Return the batch of a member, and the index of the member in that batch, if any."""
