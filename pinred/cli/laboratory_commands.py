@@ -73,10 +73,7 @@ def run_bench(arguments: argparse.Namespace) -> int:
     folder = _make_folder(arguments.out)
     if arguments.measurement == "accuracy":
         return _run_accuracy(arguments, folder)
-    if arguments.measurement == "films":
-        return _run_films(arguments, folder)
     from ..laboratory import bench
-    from ..laboratory.bench.timing import report
 
     names = ("robots", "scenes", "calls", "members", "held")
     options = {name: value for name, value in vars(arguments).items() if name in names}
@@ -87,20 +84,10 @@ def run_bench(arguments: argparse.Namespace) -> int:
     name = "first_calls" if arguments.measurement == "first" else arguments.measurement
     with Wait(f"measures: {arguments.measurement}"):
         results = getattr(bench, f"bench_{name}")(**options, progress=True)
-    text, tables = report(results if isinstance(results, list) else [results])
-    print(text)
-    for file, records in tables.items():
-        _write(folder, file, records)
-    return 0
-
-
-def _run_films(arguments: argparse.Namespace, folder: Path | None) -> int:
-    """Measure films, which the laboratory cannot, because it draws nothing.  Returns 0."""
-    from ..views.playback.film import FilmTiming, bench_films
-
-    timings = bench_films(arguments.robots, progress=True)
-    print("\n".join([FilmTiming.header(), *map(str, timings)]))
-    _write(folder, "films", [dict(vars(timing)) for timing in timings])
+    tables = [results] if isinstance(results, bench.Table) else results
+    print("\n\n".join(map(str, tables)))
+    for file in dict.fromkeys(table.file for table in tables):
+        _write(folder, file, [vars(row) for table in tables if table.file == file for row in table])
     return 0
 
 
@@ -209,8 +196,7 @@ def add_stress_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_stress(arguments: argparse.Namespace) -> int:
     """Run the checks.  Returns 0, or 1 if a check fails."""
-    from ..laboratory.stress.check import Trial
-    from ..laboratory.stress.run_stress import run_checks, select_checks, table
+    from ..laboratory.stress.check import Trial, run_checks, select_checks, table
 
     checks = select_checks(arguments.only.split(",") if arguments.only else ())
     trial = Trial(effort="full" if arguments.full else "usual")
@@ -294,20 +280,20 @@ def add_published_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_published(arguments: argparse.Namespace) -> int:
     """Compute the rows and print them.  Returns 0, or 1 if a row disagrees."""
-    from ..laboratory.published import published_rows
+    from ..laboratory.published import row as published
 
-    rows = published_rows.select_rows(arguments.rows)
+    rows = published.select_rows(arguments.rows)
     if arguments.list:
         for row in rows:
             print(f"{row.name:<22} {row.quantity}\n{'':<22} {row.source}")
         return 0
     results = []
     if not arguments.rows:
-        print(published_rows.heading())
+        print(published.heading())
     for row in rows:
         with Wait(f"computes the row {row.name}"):
             results.append(row.run())
-        print((published_rows.report if arguments.rows else published_rows.line)(results[-1]))
+        print((published.report if arguments.rows else published.line)(results[-1]))
         sys.stdout.flush()
-    print(published_rows.summary(results))
+    print(published.summary(results))
     return 0 if all(result.passed for result in results) else 1

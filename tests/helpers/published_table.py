@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from pinred.laboratory.published.published_rows import ROWS
-from pinred.laboratory.published.row import Result
+from pinred.laboratory.published.row import ROWS, Result
 
 DOCUMENT = Path(__file__).parents[2] / "docs/published.md"
 START = "<!-- table: written by tests/helpers/published_table.py -->\n"

@@ -17,22 +17,21 @@ from pinred.cli.main import main
 from pinred.common.errors import InputError
 from pinred.integrators.stepping import shipped_code
 from pinred.laboratory.bench import (
-    DerivativeTiming,
-    KernelTiming,
-    Scaling,
+    Table,
     bench_derivatives,
     bench_forces,
     bench_many,
     bench_scaling,
     bench_threads,
-    compare_timing,
+    call_timing,
     first_calls,
     flow_timing,
     method_choice,
     timing,
 )
 from pinred.laboratory.bench.batch_timing import BATCH_SOLVERS
-from pinred.laboratory.bench.method_choice import METHODS, MethodChoice
+from pinred.laboratory.bench.kernel_timing import scaling_table
+from pinred.laboratory.bench.method_choice import METHODS, choice_of
 from pinred.laboratory.bench.problems import chain
 
 pytestmark = pytest.mark.slow
@@ -44,15 +43,16 @@ def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(timing, "SPAN", 1e-5)
 
 
-def test_compare_timing_counts_integrations(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_call_timing_counts_integrations(monkeypatch: pytest.MonkeyPatch) -> None:
     """A comparison takes longer than the integration by ABA that it contains."""
-    monkeypatch.setattr(compare_timing, "_ROUNDS", 1)
-    (result,) = compare_timing.bench_compare(["falling_cat, 2 s"])
+    monkeypatch.setattr(call_timing, "_ROUNDS", 1)
+    table = call_timing.bench_compare(["falling_cat, 2 s"])
+    (result,) = table
     assert result.verdict == "PASSED"
     assert result.integrations > 1.0
-    assert f"{result.seconds:.3f}" in str(result)
+    assert f"{result.seconds:.3f}" in str(table)
     with pytest.raises(InputError, match=r"no scene 'moon'; the scenes are falling_cat"):
-        compare_timing.bench_compare(["moon"])
+        call_timing.bench_compare(["moon"])
 
 
 def test_first_calls_run_in_fresh_processes(
@@ -75,8 +75,8 @@ def test_first_calls_run_in_fresh_processes(
         return (0.5, False) if shipped else (4.0, True)
 
     monkeypatch.setattr(first_calls, "_in_fresh_process", measure)
-    (result,) = first_calls.bench_first_calls()
-    assert str(result).split() == ["note", "0.50", "4.00", "8.0", "not", "loaded"]
+    row = str(first_calls.bench_first_calls()).splitlines()[-1]
+    assert row.split() == ["note", "0.50", "4.00", "8.0", "not", "loaded"]
     with pytest.raises(InputError, match="no call 'moon'; the calls are note"):
         first_calls.bench_first_calls(["moon"])
 
@@ -116,7 +116,7 @@ def test_bench_forces_counts_integrated_states(
 ) -> None:
     """A torque adds no state; a wrench adds momentum, a path, and time if needed."""
     (result,) = bench_forces(["planar_chain5"])
-    assert result.numbers == (11, 11, 16, 17)
+    assert result.integrated == "11, 11, 16, 17"
     assert min(result.torque, result.wrench, result.full) > 0.0
     assert main(["bench", "forces", "elroys_beanie", "--out", str(tmp_path)]) == 0
     assert "torque, attitude" in capsys.readouterr().out
@@ -127,59 +127,55 @@ def test_bench_derivatives_measures_every_ratio(monkeypatch: pytest.MonkeyPatch)
     """Each ratio is a positive number, and appears in the table."""
     monkeypatch.setattr(flow_timing, "_DERIVATIVE_ROUNDS", 2)
     monkeypatch.setattr(flow_timing, "_BURST", 1e-5)
-    (result,) = bench_derivatives(["coupled_planar"])
+    table = bench_derivatives(["coupled_planar"])
+    (result,) = table
     ratios = [value for value in vars(result).values() if isinstance(value, float)]
     assert len(ratios) == 8
     assert min(ratios) > 0.0
-    assert all(f"{ratio:.2f}" in str(result) for ratio in ratios)
-    assert len(DerivativeTiming.header().splitlines()[0].split()) == 10
-
-
-def test_report_titles_columns_and_collects_rows_of_csv_files() -> None:
-    """Titles have the widths of their columns; units are a second line; summaries are below."""
-    kernel = KernelTiming("arm", 3, 100, build=0.1234, kernel=0.5, aba=2.25)
-    text, tables = timing.report([kernel, kernel])
-    head, first, second = text.splitlines()
-    assert head == (
-        "robot                joints instructions  build [s]  kernel [µs]  pin.aba [µs]   ratio"
-    )
-    assert (
-        first
-        == second
-        == (
-            "arm                       3          100      0.123       0.5000          2.25     4.5"
-        )
-    )
-    assert tables == {"kernels": [{**vars(kernel), "ratio": 4.5}] * 2}
-    derivatives = DerivativeTiming("arm", 3, *np.arange(1.0, 9.0).tolist())
-    names, units, row = timing.report([derivatives])[0].splitlines()
+    names, units, row = str(table).splitlines()
+    assert all(f"{ratio:.2f}" in row for ratio in ratios)
+    assert len(names.split()) == 10
     assert units.split() == ["[runs]"] * 2 + ["[rates]"] * 5 + ["[aba]"]
     assert len(names) == len(units) == len(row)
-    choice = MethodChoice(
-        "made", "DOP853", {"DOP853": 2.0, "Tsit5": 1.0}, {"DOP853": 1.0, "Tsit5": 1.0}
+
+
+def test_table_titles_columns() -> None:
+    """Titles have the widths of their columns, units are a second line, and NaN is a dash."""
+    columns = {"robot": "<8", "build": ">10.3f build [s]", "jvp": ">9.2f jvp\n[runs]"}
+    rows = (
+        SimpleNamespace(robot="arm", build=0.1234, jvp=2.25),
+        SimpleNamespace(robot="leg", build=np.nan, jvp=1.0),
     )
-    text, tables = timing.report([choice])
-    assert "0.0 % of 1 scenes within 1.3 times" in text.splitlines()[-1]
-    (row_of_file,) = tables["methods"]
-    assert list(row_of_file)[:3] == ["scene", "chosen", "ratio"]
-    assert row_of_file["Tsit5 cpu"] == 1.0
-    assert timing.report([]) == ("", {})
+    table = Table("made", columns, rows, "two robots", ("below",))
+    assert str(table).splitlines() == [
+        "two robots",
+        "robot     build [s]       jvp",
+        "                       [runs]",
+        "arm           0.123      2.25",
+        "leg               —      1.00",
+        "below",
+    ]
+    assert (len(table), table[1], [*table]) == (2, rows[1], [*rows])
 
 
 def test_scaling_fits_power_law() -> None:
     """Chains must have increasing numbers of joints."""
     n = np.array([5, 20, 50, 100])
-    law = Scaling("made", n, 3 * n, build=0.1 * n, kernel=np.where(n < 20, 9.0, n**1.5))
-    assert law.slope == pytest.approx(1.5)
-    assert law.instructions_slope == pytest.approx(1.0)
-    assert "to the power 1.50, instructions 1.00" in str(law)
+    law = [
+        SimpleNamespace(
+            family="made", joints=k, instructions=3 * k, build=0.1 * k, per_joint=1.0,
+            kernel=9.0 if k < 20 else k**1.5,
+        )
+        for k in n.tolist()
+    ]  # fmt: skip
+    assert "to the power 1.50, instructions 1.00" in str(scaling_table(tuple(law)))
     result = bench_scaling((2, 4), rounds=1)
-    assert [item.family for item in result] == ["planar", "spatial"]
+    assert [[row.family for row in item] for item in result] == [["planar"] * 2, ["spatial"] * 2]
     for item in result:
-        assert item.instructions[0] < item.instructions[1] <= 3 * item.instructions[0]
-        assert (item.kernel > 0.0).all()
-        assert (item.build > 0.0).all()
-        assert np.isnan(item.slope)
+        assert item[0].instructions < item[1].instructions <= 3 * item[0].instructions
+        assert all(row.kernel > 0.0 and row.build > 0.0 for row in item)
+        assert all(row.per_joint == 1e3 * row.kernel / row.joints for row in item)
+        assert item.notes == ()
     with pytest.raises(InputError, match="increasing"):
         bench_scaling((4, 2))
 
@@ -187,15 +183,15 @@ def test_scaling_fits_power_law() -> None:
 def test_bench_many_reaches_error_or_reports_failure() -> None:
     """Each solver reaches the requested error against ABA, or says that it does not."""
     (result,) = bench_many(["planar1"], members=4, rounds=1, error=1e-6)
-    rates = {rate.solver: rate for rate in result.rates}
+    rates = {rate.solver: rate for rate in result}
     assert {"lanes", "one by one"} <= rates.keys()
-    assert all(0.0 < rate.error <= 1e-6 for rate in result.rates)
-    assert all(rate.per_second > 0.0 for rate in result.rates)
+    assert all(0.0 < rate.error <= 1e-6 for rate in result)
+    assert all(rate.per_second > 0.0 for rate in result)
     expected, other = rates["lanes"], rates["one by one"]
     assert expected.tolerance == other.tolerance
     assert expected.error == pytest.approx(other.error, rel=1e-3)
-    assert result.times("lanes") == pytest.approx(expected.per_second / other.per_second)
-    assert len(result.rates) + len(result.missing) == len(BATCH_SOLVERS)
+    assert expected.times == pytest.approx(expected.per_second / other.per_second)
+    assert len(result) + len(result.notes) == len(BATCH_SOLVERS)
     with pytest.raises(InputError, match="at least 2"):
         bench_many(["planar1"], members=1)
 
@@ -203,14 +199,14 @@ def test_bench_many_reaches_error_or_reports_failure() -> None:
 def test_bench_threads_measures_time_and_memory() -> None:
     """The memory is at least that of the results."""
     system = pinred.load("falling_cat")
-    result = bench_threads(system, members=8, duration=0.05, rounds=1)
-    assert (result.wall > 0.0).all()
-    assert result.speedup == pytest.approx(result.wall[0] / result.wall[1])
+    times, memory = bench_threads(system, members=8, duration=0.05, rounds=1)
+    one, two = (row.wall for row in times)
+    assert min(one, two) > 0.0
+    assert f"two threads are {one / two:.2f} times faster" in str(times)
     many = pinred.simulate_many(system, seeds=range(8), times=[0.05])
-    assert result.sizes.tolist() == [2.0, 8.0]
-    assert result.results.tolist() == [many.y.nbytes / 4.0, many.y.nbytes]
-    assert (result.kept >= result.results).all()
-    assert (result.extra >= 0.0).all()
+    assert [row.members for row in memory] == [2, 8]
+    assert [row.results for row in memory] == [many.y.nbytes / 4.0, many.y.nbytes]
+    assert all(row.kept >= row.results and row.extra >= 0 for row in memory)
     with pytest.raises(InputError, match="at least 4"):
         bench_threads(system, members=3)
 
@@ -293,8 +289,8 @@ def test_bench_methods_compares_the_choice_with_the_fastest_accurate_method(
     """The ratio refers to the fastest method whose error is at most that of the chosen one."""
     wall = dict(zip(METHODS, (2.0, 4.0, 3.0, 1.0), strict=True))
     error = dict(zip(METHODS, (1e-9, 1e-10, 1e-10, 1e-6), strict=True))
-    assert MethodChoice("made", "DOP853", wall, error).ratio == 1.0  # Radau is less accurate.
-    assert MethodChoice("made", "Tsit5", wall, error).best == "AdaptiveGauss"
+    assert choice_of("made", "DOP853", wall, error).ratio == 1.0  # Radau is less accurate.
+    assert choice_of("made", "Tsit5", wall, error).ratio == 4.0 / 3.0  # of AdaptiveGauss
     monkeypatch.setattr(method_choice, "METHODS", ("DOP853", "AdaptiveGauss"))
     assert main(["bench", "methods", "planar1", "--held", "0", "--out", str(tmp_path)]) == 0
     assert "of 1 scenes within 1.3 times the fastest method" in capsys.readouterr().out

@@ -14,8 +14,7 @@ import pinred
 from pinred.cli.main import main
 from pinred.laboratory import published
 from pinred.laboratory.published import dynamics
-from pinred.laboratory.published.published_rows import ROWS, select_rows
-from pinred.laboratory.published.row import Result, numbers
+from pinred.laboratory.published.row import ROWS, Result, numbers, select_rows
 
 
 def numbers_in(text: str) -> list[float]:

@@ -16,8 +16,16 @@ import pinred
 from pinred import RKMK4
 from pinred.cli.main import main
 from pinred.forces import Damper, Wrench
-from pinred.laboratory.stress.check import Case, Check, Outcome, Trial
-from pinred.laboratory.stress.run_stress import CHECKS, run_check, select_checks, table
+from pinred.laboratory.stress.check import (
+    CHECKS,
+    Case,
+    Check,
+    Outcome,
+    Trial,
+    run_check,
+    select_checks,
+    table,
+)
 
 pytestmark = pytest.mark.slow
 

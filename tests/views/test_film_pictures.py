@@ -23,7 +23,8 @@ from robot_texts import joint, robot
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.views.playback.film import FilmTiming, bench_films, find_ffmpeg, write_gif
+from pinred.laboratory.bench import bench_films
+from pinred.views.playback.film import find_ffmpeg, write_gif
 from pinred.views.playback.film_frames import Frames
 from pinred.views.playback.rasteriser import (
     SIDE,
@@ -301,12 +302,12 @@ def test_options_and_gravity_add_objects() -> None:
 @BY_HAND
 def test_film_timing_names_triangles_and_rate() -> None:
     """The table has a row for each robot."""
-    (timing,) = bench_films(["falling_cat"])
-    row = f"{timing}".split()
+    table = bench_films(["falling_cat"])
+    (timing,) = table
+    row = str(table).splitlines()[-1].split()
     assert row[0] == "falling_cat"
     assert int(row[1]) == timing.triangles > 100
     assert float(row[3]) == pytest.approx(1.0 / timing.frame, rel=0.01)
-    assert len(FilmTiming.header().split("  ")) > 3
 
 
 @pytest.mark.by_hand

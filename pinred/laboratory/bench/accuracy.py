@@ -18,12 +18,12 @@ import numpy as np
 from ...common.argument_kinds import checks_arguments
 from ...common.errors import IntegrationError, PinredError
 from ...common.files import write_atomic, write_table
-from ...common.waiting import Progress, ProgressBar, quiet, shown
-from ...judge.distances import FullMotion
+from ...common.progress import Progress, shown
+from ...common.waiting import ProgressBar, quiet
 from .problems import Problem, compute_drift, problems_named
 from .reference import Reference, reference_of
 from .solver import PreparedRun, Solver
-from .solvers import solvers_named
+from .solvers import SOLVERS, solvers_named
 from .timing import alternating, repeated
 from .work_precision import ERRORS, NAME, Point, WorkPrecision, read_record, write_record
 
@@ -82,8 +82,6 @@ def bench_accuracy(
     Raises:
         IntegrationError: The reference solution of a problem cannot be computed.
     """
-    from .solvers import SOLVERS
-
     problems = problems_named()[0] if problems is None else problems
     methods = SOLVERS if methods is None else methods
     run, results = run_name(), []
@@ -222,7 +220,7 @@ def _point(
     end = prepared.end(result)
     if not all(np.isfinite(values).all() for values in (end.x, end.q, end.v)):
         raise IntegrationError("the final state is not finite")
-    distance = problem.full.distance(reference.end, FullMotion(x=end.x[None], q=end.q[None]))
+    distance = problem.full.distance(reference.end, end.motion)
     drift = compute_drift(problem, end.q, end.v)
     return Point(
         method=method,

@@ -10,11 +10,11 @@ pose), its largest value over the motion.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
+from types import SimpleNamespace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -23,19 +23,17 @@ from scipy.integrate import solve_ivp
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError, IntegrationError
-from ...common.waiting import Progress, one_by_one
-from ...integrators.methods import METHODS, AdaptiveGauss, Explicit
-from ...judge.distances import FullMotion
+from ...common.progress import Progress
+from ...common.waiting import one_by_one
+from ...integrators.methods import METHODS, AdaptiveGauss, Explicit, Method
 from ...judge.reference_solution import FINEST
-from ...simulation.compiled.compiled_flow import CompiledFlow
-from ...simulation.plan import plan_of
-from ...system.state_fields import with_base
+from ...simulation.simulate import simulate
 from .problems import Problem, problems_named
-from .solver import ATOL
-from .timing import Tables
+from .solver import ATOL, End
+from .timing import Table
 
-Tolerances: TypeAlias = tuple[float, float | Array]  # rtol and atol in SciPy's form
-Norm: TypeAlias = Callable[[float], Tolerances]
+Norm: TypeAlias = Callable[[float], tuple[float, float | Array]]  # tolerance → rtol and atol
+Run: TypeAlias = Callable[[float], End | None]  # tolerance → final state; None if the method fails
 
 FEW_SCENES = ("planar5", "satellite", "solo12", "talos")
 ERRORS = (1e-4, 1e-6, 1e-8, 1e-10)
@@ -58,50 +56,17 @@ _EXTENSISQ = {
 
 
 @checks_arguments
-@dataclass(frozen=True)
-class Evaluations:
-    """Number of evaluations that each method needs for each error on one problem.
-
-    Attributes:
-        problem: Name and description of the problem.
-        counts: Method → evaluations for each error of ERRORS; NaN if it is not reached.
-        missing: How to install further methods; "" if all ran.
-    """
-
-    problem: str
-    counts: Mapping[str, tuple[float, ...]]
-    missing: str = ""
-
-    def tables(self) -> Tables:
-        """Return a row of the csv file for each method and error."""
-        rows: list[dict[str, object]] = [
-            {"problem": self.problem, "method": name, "error": error, "evaluations": count}
-            for name, counts in self.counts.items()
-            for error, count in zip(ERRORS, counts, strict=True)
-        ]
-        return {"evaluations": rows}
-
-    def __str__(self) -> str:
-        width = max(map(len, self.counts))
-        head = f"{'error':<{width}}" + "".join(f"{error:>9.0e}" for error in ERRORS)
-        rows = [
-            f"{name:<{width}}" + "".join("        —" if np.isnan(n) else f"{n:>9.0f}" for n in row)
-            for name, row in self.counts.items()
-        ]
-        return "\n".join([self.problem, head, *rows, *([self.missing] if self.missing else [])])
-
-
-@checks_arguments
 def bench_evaluations(
     scenes: Sequence[str] = FEW_SCENES, *, progress: Progress | bool | None = None
-) -> list[Evaluations]:
+) -> list[Table]:
     """Count the evaluations that each method needs for each error, on each scene.
 
     Args:
         scenes: Names of scenes in SCENES; FEW_SCENES if empty.
         progress: True for a progress bar, or a function of the completed fraction.
     Returns:
-        One result for each scene.
+        A table for each scene, with a row for each method: the evaluations for each of ERRORS; NaN
+        if it is not reached.
     Raises:
         InputError: Unknown scene.
     """
@@ -109,55 +74,63 @@ def bench_evaluations(
     return one_by_one(problems, _count_evaluations, progress, "evaluations")
 
 
-def _count_evaluations(problem: Problem) -> Evaluations:
+def _count_evaluations(problem: Problem) -> Table:
     truth = problem.full.run(problem.full_start(), problem.times, *FINEST)
-    runs: dict[str, Callable[[float], tuple[float, float]]] = {
-        name: partial(_run_explicit, problem, truth, kind)
+    runs: dict[str, Run] = {
+        name: _by_pinred(problem, partial(_explicit, kind))
         for name, kind in METHODS.items()
         if issubclass(kind, Explicit)
     }
-    runs["AdaptiveGauss, sweeps"] = lambda tol: _run_pinred(
-        problem, truth, AdaptiveGauss(tol, ATOL * tol), AdaptiveGauss.stages
+    runs["AdaptiveGauss, sweeps"] = _by_pinred(
+        problem, lambda tol: AdaptiveGauss(tol, ATOL * tol), AdaptiveGauss.stages
     )
     published: dict[str, Any] = dict(_SCIPY)
-    missing = "" if find_spec("extensisq") else f"more methods: {INSTALL}"
-    if not missing:
+    notes = () if find_spec("extensisq") else (f"more methods: {INSTALL}",)
+    if not notes:
         module = import_module("extensisq")
         published |= {name: getattr(module, kind) for name, kind in _EXTENSISQ.items()}
-    for name, kind in published.items():
-        runs[name] = partial(_run_scipy, problem, truth, kind, _standard_norm)
-    runs[_WITHOUT_BASE] = partial(_run_scipy, problem, truth, "DOP853", _without_base(problem))
-    runs[_ONE_SCALE] = partial(_run_scipy, problem, truth, "DOP853", _norm_by_kind(problem))
-    counts = {
-        name: _at_errors([run(tolerance) for tolerance in _TOLERANCES])
-        for name, run in runs.items()
-    }
-    return Evaluations(f"{problem.name}: {problem.about}", counts, missing)
+    runs |= {name: _by_scipy(problem, kind) for name, kind in published.items()}
+    runs[_WITHOUT_BASE] = _by_scipy(problem, "DOP853", _without_base(problem))
+    runs[_ONE_SCALE] = _by_scipy(problem, "DOP853", _norm_by_kind(problem))
+    rows = []
+    for name, run in runs.items():
+        ends = [end for tolerance in _TOLERANCES if (end := run(tolerance)) is not None]
+        points = [(problem.apart(truth, end.motion), end.evaluations) for end in ends]
+        counts = {
+            f"{target:.0e}": min((n for error, n in points if error <= target), default=np.nan)
+            for target in ERRORS
+        }
+        rows.append(SimpleNamespace(problem=problem.name, method=name, **counts))
+    columns = {"method": f"<{max(map(len, runs))} error"} | {f"{e:.0e}": ">8.0f" for e in ERRORS}
+    title = f"{problem.name}: {problem.about}"
+    return Table("evaluations", columns, tuple(rows), title, notes)
 
 
-def _at_errors(points: list[tuple[float, float]]) -> tuple[float, ...]:
-    """Return the fewest evaluations for each of ERRORS, from points (error, evaluations)."""
-    return tuple(
-        min((count for error, count in points if error <= target), default=np.nan)
-        for target in ERRORS
-    )
+def _by_pinred(problem: Problem, make: Callable[[float], Method], stages: int = 1) -> Run:
+    """Return runs of a method of pinred, whose stages are evaluated at once."""
+
+    def run(tol: float) -> End:
+        traj = simulate(problem.scene(method=make(tol)))
+        return problem.end_of(traj.states, traj.run.evaluations / stages)
+
+    return run
 
 
-def _run_pinred(
-    problem: Problem, truth: FullMotion, method: Any, stages: int
-) -> tuple[float, float]:
-    """Return the error and the number of sequential evaluations of a method of pinred."""
-    from ...simulation.simulate import simulate
+def _by_scipy(problem: Problem, kind: Any, norm: Norm | None = None) -> Run:
+    """Return runs of a method of SciPy with an error norm."""
 
-    traj = simulate(problem.scene(method=method))
-    end = FullMotion(x=traj.x, q=traj.q)
-    return problem.apart(truth, end), traj.run.evaluations / stages
+    def run(tol: float) -> End | None:
+        try:
+            solution = _solve(problem, kind, *(norm or _standard_norm)(tol))
+        except (ValueError, InputError, IntegrationError):
+            return None
+        return problem.end(solution.y[:, -1], solution.nfev) if solution.success else None
+
+    return run
 
 
-def _run_explicit(
-    problem: Problem, truth: FullMotion, kind: type[Explicit], tol: float
-) -> tuple[float, float]:
-    return _run_pinred(problem, truth, kind(*_standard_norm(tol)), 1)
+def _explicit(kind: type[Explicit], tol: float) -> Explicit:
+    return kind(*_standard_norm(tol))
 
 
 def _standard_norm(tol: float) -> tuple[float, float]:
@@ -165,14 +138,13 @@ def _standard_norm(tol: float) -> tuple[float, float]:
 
 
 def _without_base(problem: Problem) -> Norm:
-    weights = np.ones(len(CompiledFlow.of_plan(plan_of(problem.scene())).y0))
+    weights = np.ones(len(problem.flow.y0))
     weights[2 * problem.system.m :] = _IGNORED
     return lambda tol: (max(tol, 1e-13), ATOL * tol * weights)
 
 
 def _norm_by_kind(problem: Problem) -> Norm:
-    flow = CompiledFlow.of_plan(plan_of(problem.scene()))
-    largest = np.abs(_solve(flow, problem, "DOP853", 1e-6, 1e-8).y).max(axis=1)
+    largest = np.abs(_solve(problem, "DOP853", 1e-6, 1e-8).y).max(axis=1)
     m = problem.system.m
     for kind in (slice(0, m), slice(m, 2 * m), slice(2 * m, None)):
         largest[kind] = largest[kind].max(initial=0.0)
@@ -180,27 +152,10 @@ def _norm_by_kind(problem: Problem) -> Norm:
     return lambda tol: (1e-13, tol * largest)
 
 
-def _solve(
-    flow: CompiledFlow, problem: Problem, kind: Any, rtol: float, atol: float | Array
-) -> Any:
+def _solve(problem: Problem, kind: Any, rtol: float, atol: float | Array) -> Any:
+    flow = problem.flow
+
     def rate(t: float, y: Array) -> Array:  # noqa: ARG001
         return flow.kernel.evaluate_rate(y, flow.parameters)
 
     return solve_ivp(rate, (0.0, problem.start.duration), flow.y0, kind, rtol=rtol, atol=atol)
-
-
-def _run_scipy(
-    problem: Problem, truth: FullMotion, kind: Any, norm: Norm, tol: float
-) -> tuple[float, float]:
-    """Return the error and number of evaluations of a SciPy method; (inf, NaN) if it fails."""
-    scene = problem.scene()
-    flow = CompiledFlow.of_plan(plan_of(scene))
-    try:
-        solution = _solve(flow, problem, kind, *norm(tol))
-    except (ValueError, InputError, IntegrationError):
-        return np.inf, np.nan
-    if not solution.success:
-        return np.inf, np.nan
-    y = solution.y[:, -1:].T
-    states = with_base(flow.states(scene.report_times, y), problem.name)
-    return problem.apart(truth, FullMotion(x=states.x, q=states.q)), float(solution.nfev)

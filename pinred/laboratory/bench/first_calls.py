@@ -6,18 +6,19 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, ClassVar
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
-from ...common.waiting import Progress, one_by_one
-from .timing import TimingRow
+from ...common.progress import Progress
+from ...common.waiting import one_by_one
+from .timing import Table
 
 _ROUNDS = 3  # number of processes with shipped code; compilations are measured once
 _DURATION = 0.5  # of the motions [s]
@@ -61,52 +62,18 @@ CALLS: dict[str, Callable[[Any], Any]] = {
 
 
 @checks_arguments
-@dataclass(frozen=True)
-class FirstCall(TimingRow):
-    """Time of the first call in a process with an empty cache, after the robot was loaded.
-
-    Attributes:
-        call: The call.
-        shipped: Median time with the machine code that the package ships [s].
-        compiled: Time without it, when numba compiles the integrators [s].
-        loads_numba: Whether the call with shipped code loads numba.
-    """
-
-    ROW = "{call:<20} {shipped:>12.2f} {compiled:>13.2f} {ratio:>7.1f}  {numba}"
-    TITLES: ClassVar[Mapping[str, str]] = {
-        "call": "first call",
-        "shipped": "shipped [s]",
-        "compiled": "compiled [s]",
-    }
-    FILE = "first_calls"
-
-    call: str
-    shipped: float
-    compiled: float
-    loads_numba: bool
-
-    @property
-    def ratio(self) -> float:
-        """Time without shipped code divided by the time with it."""
-        return self.compiled / self.shipped
-
-    @property
-    def numba(self) -> str:
-        """Whether the call with shipped code loads numba, as text."""
-        return "loaded" if self.loads_numba else "not loaded"
-
-
-@checks_arguments
 def bench_first_calls(
     calls: Sequence[str] = (), *, progress: Progress | bool | None = None
-) -> list[FirstCall]:
-    """Measure first calls in fresh processes with empty caches.
+) -> Table:
+    """Measure first calls in fresh processes with empty caches, after the robot was loaded.
 
     Args:
         calls: Names of CALLS; by default all.
         progress: True for a progress bar, or a function of the completed fraction.
     Returns:
-        One result for each call.
+        A row for each call: the median time with the machine code that the package ships, the time
+        when numba compiles the integrators [s], their ratio, and whether the call with shipped code
+        loads numba.
     Raises:
         InputError: A call is unknown.
     """
@@ -114,13 +81,24 @@ def bench_first_calls(
     if unknown := [name for name in names if name not in CALLS]:
         raise InputError(f"no call '{unknown[0]}'; the calls are {', '.join(CALLS)}")
 
-    def measure(name: str) -> FirstCall:
+    def measure(name: str) -> SimpleNamespace:
         results = [_in_fresh_process(name, shipped=True) for _ in range(_ROUNDS)]
         compiled, _ = _in_fresh_process(name, shipped=False)
         seconds, loaded = zip(*results, strict=True)
-        return FirstCall(name, float(np.median(seconds)), compiled, any(loaded))
+        shipped = float(np.median(seconds))
+        return SimpleNamespace(
+            call=name, shipped=shipped, compiled=compiled, ratio=compiled / shipped,
+            numba="loaded" if any(loaded) else "not loaded",
+        )  # fmt: skip
 
-    return one_by_one(names, measure, progress, "calls")
+    columns = {
+        "call": "<20 first call",
+        "shipped": ">12.2f shipped [s]",
+        "compiled": ">13.2f compiled [s]",
+        "ratio": ">7.1f",
+        "numba": "<10",
+    }
+    return Table("first_calls", columns, tuple(one_by_one(names, measure, progress, "calls")))
 
 
 def _in_fresh_process(call: str, *, shipped: bool) -> tuple[float, bool]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, ClassVar
+from types import SimpleNamespace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -31,106 +32,48 @@ from ...reduction.tree.free_bodies import STEP, Freed, pattern_of
 from ...simulation.flow_map.flow import Flow, flow
 from ...simulation.simulate import simulate
 from ...system.load import load
-from .timing import TimingRow, fastest, repeated, robots_to_measure
+from .timing import Table, fastest, repeated, robots_to_measure
 
 _SPAN = 2.0  # duration of the motion [s]
 _COUNT = 200  # number of evaluations in one timed call
+_MICROSECONDS = {"integration": 12, "call": 7, "simulate": 9, "step": 7}  # widths of columns
 _ROUNDS, _BURST = 300, 1e-3  # many short rounds [s], so that some are not interrupted
 
 
 @checks_arguments
-@dataclass(frozen=True)
-class FlowTiming(TimingRow):
-    """Cost of one robot's flow: the fastest of several alternating rounds.
+def bench_flow(robots: Sequence[str] = (), *, progress: Progress | bool | None = None) -> Table:
+    """Measure the cost of each robot's flow; docs/flow.md explains the columns.
 
-    Every call of a flow uses a different initial shape.
-
-    Attributes:
-        robot: Name of the robot.
-        steps: Number of steps of DOP853 at tolerance 1e-8.
-        integration: Time of the integrator alone [µs].
-        call: Time of a call of the flow, including access to x [µs].
-        simulate: Time of simulate with the same scene [µs].
-        step: Time of one step with its Jacobians [µs].
-        gradient: Time of a gradient with respect to initial shape, rates and twist, including
-            its forward run, relative to a forward run.
-        inertias: As `gradient`, with the masses and centres of mass of all bodies as additional
-            inputs.
-        gauss: As `gradient`, with AdaptiveGauss at tolerance 1e-10.
-        jax: Additional time of a call through JAX [µs]; NaN without JAX.
-        jax_gradient: Additional time of a gradient through JAX [µs]; NaN without JAX.
-        cvodes: Time of CVODES's adjoint (CasADi, same tolerance) relative to pinred's gradient.
-        apart: Relative difference of the gradients of CVODES and pinred.
-        adjoint: Time of an adjoint kernel evaluation, relative to a rate evaluation.
-        free: Time of a rate evaluation with all inertias as inputs, relative to a kernel with
-        constant inertias.
-        placed: As `free`, with all placements as inputs that keep their pattern of zeros.
-        generic: As `free`, with arbitrary placements as inputs.
-        knots: Bytes stored per step for a gradient, if only step ends are stored.
-        stages: Bytes stored per step for a gradient, if stage derivatives are stored too.
-    """
-
-    ROW = (
-        "{robot:<20} {steps:>6} {integration:>12.1f} {call:>7.1f} {simulate:>9.1f} {step:>7.1f} "
-        "{gradient:>9.2f} {inertias:>9.2f} {gauss:>9.2f} {jax:>6.1f} {jax_gradient:>12.1f} "
-        "{cvodes:>7.0f} {apart:>8.1e} {adjoint:>8.2f} {free:>6.2f} {placed:>6.2f} "
-        "{generic:>7.2f} {stored:>12}"
-    )
-    TITLES: ClassVar[Mapping[str, str]] = {
-        **{name: f"{name}\n[µs]" for name in ("integration", "call", "simulate", "step")},
-        **{name: f"{name}\n[runs]" for name in ("gradient", "inertias")},
-        **{name: f"{name}\n[×]" for name in ("free", "placed", "generic")},
-        "gauss": "by Gauss\n[runs]",
-        "jax": "JAX\n[+µs]",
-        "jax_gradient": "its gradient\n[+µs]",
-        "cvodes": "CVODES\n[×]",
-        "adjoint": "adjoint\n[rates]",
-        "stored": "bytes/step",
-    }
-    FILE = "flow"
-
-    robot: str
-    steps: int
-    integration: float
-    call: float
-    simulate: float
-    step: float
-    gradient: float
-    inertias: float
-    gauss: float
-    jax: float
-    jax_gradient: float
-    cvodes: float
-    apart: float
-    adjoint: float
-    free: float
-    placed: float
-    generic: float
-    knots: int
-    stages: int
-
-    @property
-    def stored(self) -> str:
-        """Bytes stored per step, without and with stage derivatives."""
-        return f"{self.knots}, {self.stages}"
-
-
-@checks_arguments
-def bench_flow(
-    robots: Sequence[str] = (), *, progress: Progress | bool | None = None
-) -> list[FlowTiming]:
-    """Measure the cost of each robot's flow.
+    Every call of a flow uses a different initial shape. The fastest of several alternating rounds
+    counts.
 
     Args:
         robots: Names or files; two bundled robots and, if installed, solo12 and talos by default.
         progress: True for a progress bar, or a function of the completed fraction.
     Returns:
-        One result for each robot.
+        A row for each robot. Times in runs include the forward run; those of JAX are in addition to
+        pinred's. `adjoint`, `free`, `placed` and `generic` are relative to an evaluation of the
+        rate; `cvodes` and `apart` compare with CVODES's adjoint (CasADi, same tolerance).
     """
-    return one_by_one(robots_to_measure(robots), _bench_flow, progress, "flows")
+    columns = {
+        "robot": "<20",
+        "steps": ">6",
+        **{name: f">{width}.1f {name}\n[µs]" for name, width in _MICROSECONDS.items()},
+        **{name: f">9.2f {name}\n[runs]" for name in ("gradient", "inertias")},
+        "gauss": ">9.2f by Gauss\n[runs]",
+        "jax": ">6.1f JAX\n[+µs]",
+        "jax_gradient": ">12.1f its gradient\n[+µs]",
+        "cvodes": ">7.0f CVODES\n[×]",
+        "apart": ">8.1e",
+        "adjoint": ">8.2f adjoint\n[rates]",
+        **{name: f">7.2f {name}\n[×]" for name in ("free", "placed", "generic")},
+        "stored": ">12 bytes/step",
+    }
+    rows = one_by_one(robots_to_measure(robots), _bench_flow, progress, "flows")
+    return Table("flow", columns, tuple(rows))
 
 
-def _bench_flow(name: str) -> FlowTiming:
+def _bench_flow(name: str) -> SimpleNamespace:
     system = load(name, gravity=(0.0, 0.0, 0.0))
     options: Any = {"seed": 1, "duration": _SPAN}
     motion = ["x0", "xdot0", "xi0"]
@@ -168,27 +111,14 @@ def _bench_flow(name: str) -> FlowTiming:
     jax, jax_gradient = of_jax or (np.nan, np.nan)
     beside = beside_cvodes(by_motion, 1e-8)
     adjoint, free, placed, generic = _evaluations(by_motion)
-    return FlowTiming(
-        robot=name,
-        steps=solution.steps,
-        integration=alone,
-        call=call,
-        simulate=whole,
-        step=linear,
-        gradient=runs[1] / runs[0],
-        inertias=runs[3] / runs[2],
-        gauss=runs[5] / runs[4],
-        jax=jax - call,
-        jax_gradient=jax_gradient - runs[1],
-        cvodes=beside.slower,
-        apart=beside.error,
-        adjoint=adjoint,
-        free=free,
-        placed=placed,
-        generic=generic,
-        knots=8 * (len(y) + 1),
-        stages=8 * (len(y) + 1 + len(y) * stepper_of(propagator.method).stages),
-    )
+    y_size, stages = len(y), stepper_of(propagator.method).stages
+    return SimpleNamespace(
+        robot=name, steps=solution.steps, integration=alone, call=call, simulate=whole, step=linear,
+        gradient=runs[1] / runs[0], inertias=runs[3] / runs[2], gauss=runs[5] / runs[4],
+        jax=jax - call, jax_gradient=jax_gradient - runs[1], cvodes=beside.slower,
+        apart=beside.error, adjoint=adjoint, free=free, placed=placed, generic=generic,
+        stored=f"{8 * (y_size + 1)}, {8 * (y_size + 1 + y_size * stages)}",
+    )  # fmt: skip
 
 
 class _Elsewhere:
@@ -334,79 +264,43 @@ _DERIVATIVE_ROUNDS = 100
 
 
 @checks_arguments
-@dataclass(frozen=True)
-class DerivativeTiming(TimingRow):
-    """Cost of derivatives of one robot: ratios of the fastest of several alternating rounds.
-
-    Attributes:
-        robot: Name of the robot.
-        joints: Number of joints.
-        jvp: Time of a flow's derivative along one direction, including its run, in runs.
-        vjp: Time of a flow's gradient, including its run, in runs.
-        direction: Time of the rates with their derivative along one direction, in rates.
-        eight: Time of the derivatives along eight directions, in rates.
-        adjoint: Time of an adjoint evaluation, in rates.
-        jacobian: Time of the state Jacobian by recursion, in rates.
-        columns: Time of the state Jacobian by eight columns at once, in rates.
-        pinocchio: Time of Pinocchio's computeABADerivatives, in its aba, both called from Python.
-    """
-
-    ROW = (
-        "{robot:<20} {joints:>6} {jvp:>9.2f} {vjp:>9.2f} {direction:>9.2f} {eight:>9.2f} "
-        "{adjoint:>9.2f} {jacobian:>9.2f} {columns:>9.2f} {pinocchio:>9.2f}"
-    )
-    TITLES: ClassVar[Mapping[str, str]] = {
-        **{name: f"{name}\n[runs]" for name in ("jvp", "vjp")},
-        **{name: f"{name}\n[rates]" for name in ("direction", "eight", "adjoint", "columns")},
-        "jacobian": "Jacobian\n[rates]",
-        "pinocchio": "Pinocchio\n[aba]",
-    }
-    FILE = "derivatives"
-
-    robot: str
-    joints: int
-    jvp: float
-    vjp: float
-    direction: float
-    eight: float
-    adjoint: float
-    jacobian: float
-    columns: float
-    pinocchio: float
-
-
-@checks_arguments
 def bench_derivatives(
     robots: Sequence[str] = (), *, progress: Progress | bool | None = None
-) -> list[DerivativeTiming]:
-    """Measure the cost of each robot's derivatives.
+) -> Table:
+    """Measure the cost of each robot's derivatives; docs/flow.md explains the columns.
 
     Args:
         robots: Names or files of robots whose joints are hinges and slides; two bundled robots and,
             if installed, solo12 and talos by default.
         progress: True for a progress bar, or a function of the completed fraction.
     Returns:
-        One result for each robot.
+        A row for each robot, with ratios of the fastest of several alternating rounds: a flow's
+        derivative along one direction and gradient in runs, which they include; derivatives of
+        kernels in evaluations of the rate; Pinocchio's computeABADerivatives in its aba.
     """
-    return one_by_one(robots_to_measure(robots), _bench_derivatives, progress, "derivatives")
+    columns = {
+        "robot": "<20",
+        "joints": ">6",
+        **{name: f">9.2f {name}\n[runs]" for name in ("jvp", "vjp")},
+        **{name: f">9.2f {name}\n[rates]" for name in ("direction", "eight", "adjoint")},
+        "jacobian": ">9.2f Jacobian\n[rates]",
+        "columns": ">9.2f columns\n[rates]",
+        "pinocchio": ">9.2f Pinocchio\n[aba]",
+    }
+    rows = one_by_one(robots_to_measure(robots), _bench_derivatives, progress, "derivatives")
+    return Table("derivatives", columns, tuple(rows))
 
 
-def _bench_derivatives(name: str) -> DerivativeTiming:
+def _bench_derivatives(name: str) -> SimpleNamespace:
     system = load(name, gravity=(0.0, 0.0, 0.0))
     options: Any = {"seed": 1, "duration": _SPAN, "method": "DOP853", "rtol": 1e-8}
     made = flow(system, wrt=["x0", "xdot0", "xi0"], **options)
-    own, calls = made.own("x0"), [0]
-    along = {"x0": np.ones(system.m)}
+    at, along = _Elsewhere(made), {"x0": np.ones(system.m)}
     covector = np.ones(sum(rows.stop - rows.start for rows in made.outputs.values()))
-
-    def x0() -> Array:  # a different shape at each call, so that the flow runs again
-        calls[0] += 1
-        return np.asarray(own + 1e-9 * calls[0])
-
     flows = [
-        repeated(lambda: made.run({"x0": x0()})),
-        repeated(lambda: made.jvp(along, x0=x0())),
-        repeated(lambda: made.vjp(covector, x0=x0())),
+        repeated(partial(_run, made, at)),
+        repeated(lambda: made.jvp(along, x0=at())),
+        repeated(partial(_gradient, made, at, covector)),
     ]
     often: Any = {"rounds": _DERIVATIVE_ROUNDS, "span": _BURST}
     run, jvp, vjp = fastest(flows, **often)
@@ -417,7 +311,7 @@ def _bench_derivatives(name: str) -> DerivativeTiming:
     by_pinocchio = [repeated(partial(f, model, data, q, v, tau)) for f in functions]
     aba, derivatives = fastest(by_pinocchio, **often)
     direction, eight, adjoint, recursion, columns = (kernel / rate for kernel in kernels)
-    return DerivativeTiming(
+    return SimpleNamespace(
         robot=name, joints=system.m, jvp=jvp / run, vjp=vjp / run, direction=direction,
         eight=eight, adjoint=adjoint, jacobian=recursion, columns=columns,
         pinocchio=derivatives / aba,

@@ -8,10 +8,10 @@ random robots with springs, dampers and held joints.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from time import process_time
-from typing import Any, ClassVar
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -30,7 +30,7 @@ from ...simulation.plan import Plan, plan_of
 from ...system.load import load
 from ...system.system import System
 from .problems import SCENES, problems_named
-from .timing import Tables, TimingRow, alternating, repeated
+from .timing import Table, alternating, repeated
 
 METHODS = ("DOP853", "Tsit5", "AdaptiveGauss", "Radau")
 GOOD, WORST = 1.3, 3.0  # requested ratio of most scenes, and of all scenes
@@ -46,75 +46,12 @@ class _TooSlowError(Exception):
 
 
 @checks_arguments
-@dataclass(frozen=True)
-class MethodChoice(TimingRow):
-    """Times and errors of all methods for one scene.
-
-    Attributes:
-        scene: Name of the scene.
-        chosen: Name of the method that pinred chooses.
-        cpu: CPU time of an integration by method [s]; infinity if the method fails or is too slow.
-        error: Largest error of the final reduced state by method.
-    """
-
-    ROW = "{scene:<26}{chosen:<14}{ratio:>6.2f}{cells}"
-    TITLES: ClassVar[Mapping[str, str]] = {
-        "cells": "".join(f"{name + ' [ms]':>17}" for name in METHODS)
-    }
-
-    scene: str
-    chosen: str
-    cpu: Mapping[str, float]
-    error: Mapping[str, float]
-
-    @property
-    def best(self) -> str:
-        """The fastest method whose error is at most that of the chosen method."""
-        most = self.error[self.chosen]
-        accurate = [name for name in self.cpu if self.error[name] <= most]
-        return min(accurate, key=lambda name: self.cpu[name])
-
-    @property
-    def ratio(self) -> float:
-        """Time of the chosen method divided by that of the best method."""
-        return self.cpu[self.chosen] / self.cpu[self.best]
-
-    @property
-    def cells(self) -> str:
-        """Times and errors of all methods, as text."""
-        return "".join(f"{1e3 * self.cpu[n]:>9.3g} {self.error[n]:>7.0e}" for n in self.cpu)
-
-    @classmethod
-    def summary(cls, results: Any) -> list[str]:
-        """Return a line with the share of good choices.
-
-        Args:
-            results: Results of all scenes.
-        Returns:
-            The line, in a list.
-        """
-        ratios = np.array([result.ratio for result in results if isinstance(result, cls)])
-        share = 100.0 * float((ratios <= GOOD).mean())
-        return [
-            f"{share:.1f} % of {len(ratios)} scenes within {GOOD:g} times the fastest method that "
-            f"is at least as accurate; largest ratio {ratios.max():.2f} (bars: 95 %, {WORST:g})"
-        ]
-
-    def tables(self) -> Tables:
-        """Return the row of the csv file, with a time and an error for each method."""
-        row: dict[str, object] = {"scene": self.scene, "chosen": self.chosen, "ratio": self.ratio}
-        row |= {f"{name} cpu": seconds for name, seconds in self.cpu.items()}
-        row |= {f"{name} error": error for name, error in self.error.items()}
-        return {"methods": [row]}
-
-
-@checks_arguments
 def bench_methods(
     scenes: Sequence[str] | None = None,
     *,
     held: int = HELD_ROBOTS,
     progress: Progress | bool | None = None,
-) -> list[MethodChoice]:
+) -> Table:
     """Time all methods on bench scenes, bundled robots and random robots with held joints.
 
     Args:
@@ -122,11 +59,24 @@ def bench_methods(
         held: Number of random robots with springs, dampers and held joints.
         progress: As in `simulate`.
     Returns:
-        The result of each scene with a reference.
+        A row for each scene with a reference: the method that pinred chooses; the ratio of its time
+        to that of the fastest method that is at least as accurate; for each method, the CPU time of
+        an integration [s], infinite if the method fails or is too slow, and the largest error of
+        the final reduced state.
     """
     cases = list(_cases(scenes or None, held))
     results = one_by_one(cases, lambda case: measure(*case), progress, "methods")
-    return [result for result in results if result is not None]
+    rows = tuple(row for row in results if row is not None)
+    columns = {"scene": "<26", "chosen": "<13", "ratio": ">6.2f"}
+    for name in METHODS:
+        columns |= {f"{name} cpu": f">14.3g {name} [s]", f"{name} error": ">8.0e error"}
+    ratios = np.array([row.ratio for row in rows])
+    share = 100.0 * float((ratios <= GOOD).mean())
+    note = (
+        f"{share:.1f} % of {len(ratios)} scenes within {GOOD:g} times the fastest method that "
+        f"is at least as accurate; largest ratio {ratios.max():.2f} (bars: 95 %, {WORST:g})"
+    )
+    return Table("methods", columns, rows, notes=(note,))
 
 
 def _cases(names: Sequence[str] | None, held: int) -> Iterator[tuple[str, Scene]]:
@@ -139,14 +89,14 @@ def _cases(names: Sequence[str] | None, held: int) -> Iterator[tuple[str, Scene]
         yield f"held robot {seed}", held_robot(seed)
 
 
-def measure(name: str, scene: Scene) -> MethodChoice | None:
+def measure(name: str, scene: Scene) -> SimpleNamespace | None:
     """Return times and errors of all methods for a scene; None without a reference.
 
     Args:
         name: Name of the scene in the table.
         scene: The scene, which requests no method.
     Returns:
-        The result.
+        The row of the table.
     """
     plans = {method: plan_of(replace(scene, method=method)) for method in METHODS}
     times: dict[str, float] = dict.fromkeys(METHODS, np.inf)
@@ -163,7 +113,27 @@ def measure(name: str, scene: Scene) -> MethodChoice | None:
     errors = dict.fromkeys(METHODS, np.inf)
     for method, end in ends.items():
         errors[method] = float(np.max(np.abs(end - reference) / (1.0 + np.abs(reference))))
-    return MethodChoice(name, plan_of(scene).method.name, times, errors)
+    return choice_of(name, plan_of(scene).method.name, times, errors)
+
+
+def choice_of(
+    scene: str, chosen: str, cpu: Mapping[str, float], error: Mapping[str, float]
+) -> SimpleNamespace:
+    """Compare the chosen method with the fastest one that is at least as accurate.
+
+    Args:
+        scene: Name of the scene.
+        chosen: Name of the chosen method.
+        cpu: CPU time by method [s].
+        error: Error by method.
+    Returns:
+        The row of the table.
+    """
+    best = min((name for name in cpu if error[name] <= error[chosen]), key=lambda name: cpu[name])
+    numbers: dict[str, float] = {}
+    for name in cpu:
+        numbers |= {f"{name} cpu": cpu[name], f"{name} error": error[name]}
+    return SimpleNamespace(scene=scene, chosen=chosen, ratio=cpu[chosen] / cpu[best], **numbers)
 
 
 def _reference(scene: Scene, fastest: str) -> Array:

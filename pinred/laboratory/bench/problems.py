@@ -20,9 +20,12 @@ from ...judge.distances import FullMotion
 from ...judge.reference_solution import FullState
 from ...scene.initial_state import random_state
 from ...scene.scene import Scene
+from ...simulation.compiled.compiled_flow import CompiledFlow
+from ...simulation.plan import plan_of
 from ...system.coordinates import InitialState
 from ...system.load import load
 from ...system.robot_files import INSTALL_ROBOTS, bundled_robots, has_example_robots
+from ...system.state_fields import State, with_base
 from ...system.system import System
 
 FAMILIES = ("planar", "spatial")
@@ -63,6 +66,30 @@ def chain(family: str, joints: int) -> System:
         parent = model.addJoint(parent, joint, place, f"joint{k}")
         model.appendBodyToJoint(parent, link, pin.SE3.Identity())
     return load(model)
+
+
+@checks_arguments
+@dataclass(frozen=True)
+class End:
+    """The final state of a motion.
+
+    Attributes:
+        x: Shape, unwrapped, (m,) [rad | m].
+        q: Pinocchio's configuration, (nq,).
+        v: Pinocchio's velocity, (n,).
+        evaluations: Number of evaluations of the vector field, of steps for Taylor methods; NaN
+            if unknown.
+    """
+
+    x: Array
+    q: Array
+    v: Array
+    evaluations: float
+
+    @property
+    def motion(self) -> FullMotion:
+        """The state as a motion with one time."""
+        return FullMotion(x=self.x[None], q=self.q[None])
 
 
 @checks_arguments
@@ -129,6 +156,34 @@ class Problem:
         """Return the initial full state, see FullState."""
         start = self.start
         return self.full.state(self.system.group.identity(), start.x, start.xi, start.xdot)
+
+    @cached_property
+    def flow(self) -> CompiledFlow:
+        """The reduced initial value problem that pinred compiles."""
+        return CompiledFlow.of_plan(plan_of(self.scene()))
+
+    def end(self, y: Array, evaluations: float = np.nan) -> End:
+        """Reconstruct the full final state.
+
+        Args:
+            y: Reduced final state of `flow`, (k,).
+            evaluations: Number of evaluations of the vector field.
+        Returns:
+            The final state.
+        """
+        return self.end_of(with_base(self.flow.states(self.times, y[None]), self.name), evaluations)
+
+    @staticmethod
+    def end_of(states: State, evaluations: float) -> End:
+        """Return the only state of a motion as its final state.
+
+        Args:
+            states: States at one time.
+            evaluations: Number of evaluations of the vector field.
+        Returns:
+            The final state.
+        """
+        return End(states.x[0], states.q[0], states.v[0], evaluations)
 
     def apart(self, a: FullMotion, b: FullMotion) -> float:
         """Return the largest of shape, rotation and position error between two final states.

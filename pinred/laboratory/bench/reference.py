@@ -19,7 +19,6 @@ from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...judge.distances import FullMotion
 from ...judge.reference_solution import FINEST
-from ...system.state_fields import with_base
 from .peers.heyoka import has_heyoka, reduced_graph, taylor_expressions
 from .problems import Problem
 
@@ -69,18 +68,12 @@ def reference_of(problem: Problem) -> Reference:
 
 
 def _quadruple(problem: Problem, aba: FullMotion) -> Reference:
-    from ...simulation.compiled.compiled_flow import CompiledFlow
-    from ...simulation.plan import plan_of
-
     hy = import_module("heyoka")
-    scene = problem.scene()
-    flow = CompiledFlow.of_plan(plan_of(scene))
+    flow, duration = problem.flow, problem.start.duration
     expressions = taylor_expressions(reduced_graph(problem), flow.parameters.tolist())
 
     def end(y: Any) -> FullMotion:
-        reduced = np.array([[float(value) for value in y]])
-        states = with_base(flow.states(scene.report_times, reduced), problem.name)
-        return FullMotion(x=states.x, q=states.q)
+        return problem.end(np.array([float(value) for value in y])).motion
 
     def integrator(tolerance: float) -> Any:
         y0 = [hy.real128(value) for value in flow.y0.tolist()]
@@ -91,7 +84,7 @@ def _quadruple(problem: Problem, aba: FullMotion) -> Reference:
     def propagate(ta: Any, y0: Array) -> Any:
         ta.time = hy.real128(0.0)
         ta.state[:] = [hy.real128(value) for value in y0.tolist()]
-        outcome, *_ = ta.propagate_until(hy.real128(scene.end))
+        outcome, *_ = ta.propagate_until(hy.real128(duration))
         if outcome.name != "time_limit":
             raise IntegrationError(f"heyoka stopped with {outcome.name} at t = {float(ta.time):g}")
         return np.array(ta.state)

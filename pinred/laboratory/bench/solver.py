@@ -1,4 +1,4 @@
-"""Interface of solvers in the accuracy benchmark."""
+"""Interface of the solvers that the benchmarks time: one motion, or a batch of members."""
 
 from __future__ import annotations
 
@@ -7,30 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
+from .problems import End as End
 from .problems import Problem
 
 ATOL = 0.01  # ratio of absolute to relative tolerance, for methods with both
 UNKNOWN = float("nan")
-
-
-@checks_arguments
-@dataclass(frozen=True)
-class End:
-    """The final state of a motion.
-
-    Attributes:
-        x: Shape, unwrapped, (m,) [rad | m].
-        q: Pinocchio's configuration, (nq,).
-        v: Pinocchio's velocity, (n,).
-        evaluations: Number of evaluations of the vector field, of steps for Taylor methods; NaN
-            if unknown.
-    """
-
-    x: Array
-    q: Array
-    v: Array
-    evaluations: float
 
 
 @checks_arguments
@@ -41,36 +22,39 @@ class PreparedRun:
     Attributes:
         run: Timed function: integrates from the initial to the final state. Raises
             IntegrationError if it fails.
-        end: Converts the result of `run` to the final state (not timed).
+        end: Converts the result of `run` to the final state (not timed). For a batch, the second
+            argument is the number of a member.
         build: Time of preparation, once [s].
     """
 
     run: Callable[[], Any]
-    end: Callable[[Any], End]
+    end: Callable[..., End]
     build: float = 0.0
 
 
 @checks_arguments
 @dataclass(frozen=True)
 class Solver:
-    """A method of the accuracy benchmark.
+    """A method of the accuracy benchmark, or of batches.
 
     Attributes:
         name: Name of the method.
         about: Description of the timed work.
         tolerances: Relative tolerances from coarse to fine; if `fixed`, step lengths relative to
             the duration.
-        prepare: Prepares a run of a problem at a tolerance.
+        prepare: Prepares a run of a problem, or of the members of a batch, at a tolerance.
         missing: Returns why the method cannot run a problem; "" if it can.
         fixed: Whether the method has fixed steps.
+        most: Largest number of members that the method is timed with.
     """
 
     name: str
     about: str
     tolerances: tuple[float, ...]
-    prepare: Callable[[Problem, float], PreparedRun]
+    prepare: Callable[[Any, float], PreparedRun]
     missing: Callable[[Problem], str] = field(default_factory=lambda: lambda _: "")
     fixed: bool = False
+    most: int = 10**9
 
 
 def decades(first: int, last: int, by: int = 1) -> tuple[float, ...]:

@@ -15,7 +15,11 @@ from ...common.arrays import read_only
 from ...common.errors import InputError
 from ...integrators.methods import DOP853_LEAST, METHODS, RKMK4, AdaptiveGauss, Explicit, Gauss
 from ...integrators.methods import Method as Integrator
-from ...system.state_fields import State, with_base
+from ...simulation.compiled.compiled_flow import CompiledFlow
+from ...simulation.compiled.integrator import integrator
+from ...simulation.plan import plan_of
+from ...simulation.simulate import simulate
+from ...system.state_fields import with_base
 from .peers.aba import ABA
 from .peers.cvodes import CVODES
 from .peers.drake import DRAKE
@@ -51,42 +55,34 @@ def own_method(
     """
 
     def prepare(problem: Problem, tolerance: float) -> PreparedRun:
-        from ...simulation.simulate import simulate
-
-        start, times = problem.start, problem.times
-        value = tolerance * start.duration if fixed else tolerance
+        start, value = problem.start, tolerance * (problem.start.duration if fixed else 1.0)
         options: dict[str, Any] = {"rtol": tolerance, "atol": ATOL * tolerance}
         if make is not None:
             options = {"method": make(value)}
 
         def run() -> Any:
             traj = simulate(
-                problem.system, x0=start.x, xdot0=start.xdot, xi0=start.xi, times=times, **options
-            )
+                problem.system, x0=start.x, xdot0=start.xdot, xi0=start.xi, times=problem.times,
+                **options,
+            )  # fmt: skip
             return traj.states, traj.run.evaluations
 
-        return PreparedRun(run, lambda result: _end(*result))
+        return PreparedRun(run, lambda result: problem.end_of(*result))
 
     return Solver(name, about, tolerances, prepare, fixed=fixed)
 
 
 def _integration(problem: Problem, tolerance: float) -> PreparedRun:
-    from ...simulation.compiled.compiled_flow import CompiledFlow
-    from ...simulation.compiled.integrator import integrator
-    from ...simulation.plan import plan_of
-
-    scene = problem.scene(rtol=tolerance, atol=ATOL * tolerance)
-    plan = plan_of(scene)
+    plan = plan_of(problem.scene(rtol=tolerance, atol=ATOL * tolerance))
     flow = CompiledFlow.of_plan(plan)
 
     def end(solution: Any) -> End:
-        times = scene.report_times
-        states = with_base(flow.states(times, solution.at(times)), scene.system.name)
-        return _end(states, solution.evaluations)
+        states = flow.states(problem.times, solution.at(problem.times))
+        return problem.end_of(with_base(states, problem.name), solution.evaluations)
 
     integrate = integrator(flow, plan, None)
     parameters = read_only(flow.parameters.copy())
-    return PreparedRun(lambda: integrate(0.0, scene.end, flow.y0, parameters), end)
+    return PreparedRun(lambda: integrate(0.0, plan.scene.end, flow.y0, parameters), end)
 
 
 def _explicit(name: str, kind: type[Explicit]) -> Solver:
@@ -95,10 +91,6 @@ def _explicit(name: str, kind: type[Explicit]) -> Solver:
         f"simulate() with {name}, whole call",
         lambda tol: kind(max(tol, DOP853_LEAST), ATOL * tol),
     )
-
-
-def _end(states: State, evaluations: int) -> End:
-    return End(states.x[0], states.q[0], states.v[0], evaluations)
 
 
 OWN = (

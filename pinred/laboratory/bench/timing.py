@@ -1,14 +1,17 @@
-"""Comparable timings: actions run alternately in several rounds; tables of results."""
+"""The harness of all measurements: actions that run alternately, and the table of results."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from string import Formatter
-from typing import Any, ClassVar, TypeAlias
+from dataclasses import dataclass
+from itertools import zip_longest
+from types import SimpleNamespace
+from typing import Any, TypeAlias, overload
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.object_cache import ObjectCache
 from ...common.waiting import Progress, quiet
@@ -16,7 +19,6 @@ from ...kernels.evaluate import repeat
 from ...kernels.kernel import Kernel
 from ...system.robot_files import has_example_robots
 
-Tables: TypeAlias = dict[str, list[dict[str, object]]]  # name of a csv file → its rows
 Action: TypeAlias = Callable[[int], object]  # repeats its work a given number of times
 
 ROUNDS = 15  # default number of rounds; the median over rounds is reported
@@ -26,58 +28,53 @@ FEWEST = 3  # least number of rounds of a slow action
 BUNDLED, EXAMPLES = ("planar_chain5", "satellite_two_arms"), ("solo12", "talos")  # default robots
 
 
-class TimingRow:
-    """A row of a table of results, with the names and formats of its columns.
+@checks_arguments
+@dataclass(frozen=True)
+class Table(Sequence[SimpleNamespace]):
+    """Results of a measurement: a sequence of rows, which `str` formats.
 
     Attributes:
-        ROW: Format of the row; its fields are attributes of the result.
-        TITLES: Titles of columns that differ from the attribute's name; a second line is the unit.
-        FILE: Name of the csv file.
+        file: Name of the csv file, without suffix.
+        columns: Mapping from each printed value to its format and title, such as
+            ">10.3f build [s]"; without a title, the name of the value is printed.
+        rows: The results. Their attributes are the columns of the csv file.
+        title: Line above the table.
+        notes: Lines below the table.
     """
 
-    ROW: ClassVar[str]
-    TITLES: ClassVar[Mapping[str, str]] = {}
-    FILE: ClassVar[str]
+    file: str
+    columns: Mapping[str, str]
+    rows: tuple[SimpleNamespace, ...]
+    title: str = ""
+    notes: tuple[str, ...] = ()
 
-    @classmethod
-    def header(cls) -> str:
-        """Return the header of the table."""
-        lines = ["", ""]
-        for before, name, spec, _ in Formatter().parse(cls.ROW):
-            for k, title in enumerate(f"{cls.TITLES.get(name or '', name)}\n".split("\n")[:2]):
-                lines[k] += f"{before}{title:{(spec or '').partition('.')[0]}}"
-        return "\n".join(line.rstrip() for line in lines if line.strip())
+    @overload
+    def __getitem__(self, index: int) -> SimpleNamespace: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[SimpleNamespace, ...]: ...
+    def __getitem__(self, index: int | slice) -> SimpleNamespace | tuple[SimpleNamespace, ...]:
+        """Return a row, or some rows."""
+        return self.rows[index]
 
-    @classmethod
-    def summary(cls, results: Any) -> list[str]:  # noqa: ARG003
-        """Return the lines below the table."""
-        return []
-
-    def tables(self) -> Tables:
-        """Return the rows of csv files."""
-        return {self.FILE: [dict(vars(self))]}
+    def __len__(self) -> int:
+        return len(self.rows)
 
     def __str__(self) -> str:
-        names = [name for _, name, _, _ in Formatter().parse(self.ROW) if name]
-        return self.ROW.format_map({name: getattr(self, name) for name in names})
+        formats = {name: column.partition(" ")[::2] for name, column in self.columns.items()}
+        widths = [spec.partition(".")[0] for spec, _ in formats.values()]
+        titles = [(title or name).split("\n") for name, (_, title) in formats.items()]
+        cells = [
+            *(zip(line, widths, strict=True) for line in zip_longest(*titles, fillvalue="")),
+            *([(getattr(row, name), formats[name][0]) for name in formats] for row in self.rows),
+        ]
+        lines = [" ".join(_cell(value, spec) for value, spec in line).rstrip() for line in cells]
+        return "\n".join([*([self.title] if self.title else []), *lines, *self.notes])
 
 
-def report(results: Sequence[object]) -> tuple[str, Tables]:
-    """Return the text of results, and their rows in csv files.
-
-    Args:
-        results: Results of one kind, each with a method `tables`.
-    Returns:
-        The text, and the rows by the name of the file.
-    """
-    tables: Tables = {}
-    for result in results:
-        for name, rows in result.tables().items():  # type: ignore[attr-defined]
-            tables.setdefault(name, []).extend(rows)
-    if results and isinstance(first := results[0], TimingRow):
-        below = first.summary(results)
-        return "\n".join([first.header(), *map(str, results), *below]), tables
-    return "\n\n".join(map(str, results)), tables
+def _cell(value: Any, spec: str) -> str:
+    """Format a value; NaN is a dash."""
+    is_missing = isinstance(value, float) and np.isnan(value)
+    return f"{'—':{spec.partition('.')[0]}}" if is_missing else f"{value:{spec}}"
 
 
 def robots_to_measure(

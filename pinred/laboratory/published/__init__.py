@@ -1,6 +1,7 @@
 """Published and closed-form results beside those of pinred (`pinred published`).
 
-The public names below are those that the rows use; `from pinred import …` gives the same objects.
+The rows are in the order of the modules at the end. The public names above them are those that
+the rows use; `from pinred import …` gives the same objects.
 """
 
 from ...analysis.connections.connection import Connection as Connection
@@ -26,3 +27,8 @@ from ...simulation.contact.landing import land as land
 from ...simulation.simulate import simulate as simulate
 from ...system.load import load as load
 from ...system.robot_description import Model as Model
+
+from . import dynamics as dynamics  # isort: skip
+from . import turns as turns  # isort: skip
+from . import locomotion as locomotion  # isort: skip
+from . import collisions as collisions  # isort: skip

@@ -137,6 +137,3 @@ def floor_pendulum() -> Numbers:
     )  # fmt: skip
     table = traj.impacts
     return numbers([*times, rates[-1]], [*table.t, table.rate_before[-1]])
-
-
-COLLISIONS = (disc_and_stick, rimless_wheel, simplest_walker, floor_pendulum)

@@ -100,9 +100,6 @@ def dzhanibekov_flips() -> Numbers:
     return numbers(half, times[1] - times[0])
 
 
-FREE = (euler_rates, montgomery_phase, dzhanibekov_flips)
-
-
 GRAVITY = 9.81  # [m/s²]
 # Lagrange's top: transverse and axial moments about the pivot [kg m²], and m g l [N m].
 I1, I3, PULL = 0.35, 0.05, GRAVITY * 0.5
@@ -169,9 +166,6 @@ def kovalevskaya_integral() -> Numbers:
     up = 2.0 * (x * z - y * w) + 2.0j * (y * z + x * w)
     integral = np.abs((traj.xi[:, 0] + 1j * traj.xi[:, 1]) ** 2 - n * up) ** 2
     return numbers(integral[0], integral[-1])
-
-
-TOPS = (lagrange_nutation, sleeping_top, kovalevskaya_integral)
 
 
 SREENATH = (
@@ -328,12 +322,6 @@ def six_rods() -> Numbers:
     return numbers(np.sqrt(squares), found)
 
 
-PLANAR = (
-    coupled_planar, two_bodies_count, two_bodies_oscillation, three_bodies_count,
-    three_bodies_triangle, three_rods, six_rods,
-)  # fmt: skip
-
-
 Spectrum: TypeAlias = NDArray[np.complex128]
 SCHEURLE = "J. E. Marsden, J. Scheurle, Z. angew. Math. Phys. 44 (1993) 17"
 MASSES, LENGTHS = (2.0, 1.0), (1.0, 1.5)  # [kg], [m]
@@ -438,6 +426,3 @@ def pendulum_fold() -> Numbers:
 def cowboy_window() -> Numbers:
     """Compare the edges by a Lagrangian in horizontal coordinates with the linearised flow."""
     return numbers(window(spectrum), window(spectrum_by_pinred))
-
-
-PENDULUMS = (pendulum_fold, cowboy_window)

@@ -156,12 +156,6 @@ def kinematic_snake() -> Numbers:
     return numbers(expected, [*A[0], *A[2]])
 
 
-CHAINS = (
-    purcell_straight, purcell_small_stroke, purcell_circle, perfect_fluid_circle, spheroid,
-    kinematic_snake,
-)  # fmt: skip
-
-
 @row(
     "chaplygin-sleigh",
     "Chaplygin's sleigh from a spin on the spot: speed [m/s] and heading [rad] after 3 s",
@@ -298,6 +292,3 @@ def snakeboard_rotate() -> Numbers:
 def snakeboard_park() -> Numbers:
     """Compare the pose after two cycles of the parking gait."""
     return snakeboard(steering=2, spinning=3)
-
-
-WHEELS = (chaplygin_sleigh, roller_racer, snakeboard_drive, snakeboard_rotate, snakeboard_park)

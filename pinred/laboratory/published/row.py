@@ -1,17 +1,22 @@
-"""Rows of the table of published results: a number from the literature beside pinred's."""
+"""Rows of the table of published results: a number from the literature beside pinred's.
+
+The decorator `row` adds a row to the table.
+"""
 
 from __future__ import annotations
 
 import inspect
 import textwrap
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, FrozenArrays
+from ...common.errors import InputError
+from ...common.names import nearest
 
 _WIDTH = 12  # significant digits of a closed form
 _ROUND_OFF = 1e-12  # fraction of the largest number below which a number is shown as zero
@@ -129,12 +134,70 @@ def digits(values: Array) -> str:
     return ", ".join(f"{value:.{_WIDTH}g}" for value in values)
 
 
+ROWS: dict[str, Row] = {}  # all rows by name, in the order of the table
+
+
 def row(
     name: str, quantity: str, source: str, *, relative: float = 0.0, printed: str = ""
 ) -> Callable[[Callable[[], Numbers]], Row]:
     """Return a decorator that makes a row of a function; see Row for the arguments."""
 
     def decorate(compute: Callable[[], Numbers]) -> Row:
-        return Row(name, quantity, source, compute, relative, printed)
+        ROWS[name] = Row(name, quantity, source, compute, relative, printed)
+        return ROWS[name]
 
     return decorate
+
+
+_NAME, _NUMBER = 22, 34  # widths of columns
+
+
+def select_rows(names: Sequence[str]) -> list[Row]:
+    """Return the named rows, or all if `names` is empty; raise InputError for an unknown name."""
+    for name in names:
+        if name not in ROWS:
+            raise InputError(
+                f"no row '{name}'; {nearest(name, list(ROWS))}the rows are {', '.join(ROWS)}"
+            )
+    return [ROWS[name] for name in names or ROWS]
+
+
+def heading() -> str:
+    """Return the head of the table."""
+    return (
+        f"{'row':<{_NAME}} {'published or closed form':<{_NUMBER}} {'pinred':<{_NUMBER}} "
+        "difference   bound"
+    )
+
+
+def line(result: Result) -> str:
+    """Return a row of the table; further numbers of a row are left out."""
+    columns = [_first(text) for text in (result.expected, result.found)]
+    verdict = "ok" if result.passed else "FAILED"
+    return (
+        f"{result.row.name:<{_NAME}} {columns[0]:<{_NUMBER}} {columns[1]:<{_NUMBER}} "
+        f"{result.difference:10.1e} {result.bound:7.0e} {verdict}"
+    )
+
+
+def report(result: Result) -> str:
+    """Return one row in full: quantity, source, both routes, difference and code."""
+    row = result.row
+    labels = ("published" if row.printed else "closed form", "pinred", "difference")
+    values = (result.expected, result.found, f"{result.difference:.1e}, at most {result.bound:.0e}")
+    lines = [f"{row.name}: {row.quantity}", f"  {'source':<12} {row.source}"]
+    lines += [f"  {label:<12} {value}" for label, value in zip(labels, values, strict=True)]
+    lines += [f"  {'verdict':<12} {'ok' if result.passed else 'FAILED'}", "", row.code]
+    return "\n".join(lines)
+
+
+def summary(results: Sequence[Result]) -> str:
+    """Return the last line of the table."""
+    passed = sum(result.passed for result in results)
+    return f"{passed} of {len(results)} rows agree"
+
+
+def _first(text: str) -> str:
+    """Return at most two of the numbers of a text."""
+    values = text.split(", ")
+    return ", ".join(values[:2]) + (", …" if len(values) > 2 else "")

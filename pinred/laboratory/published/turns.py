@@ -173,9 +173,6 @@ def diver_arm() -> Numbers:
     return numbers([tilt, 0.0, 0.0], Rotation.from_quat(traj.pose[-1, 3:]).as_rotvec())
 
 
-CATS = (beanie_turn, beanie_swing, cat_equal_bends, kane_scher_cat, hopper, diver_arm)
-
-
 VIRTUAL = (
     "Z. Vafa, S. Dubowsky, Int. J. Robotics Res. 9 (1990) 3; Y. Umetani, K. Yoshida, "
     "IEEE Trans. Robotics and Automation 5 (1989) 303"
@@ -293,8 +290,3 @@ def satellite_arm() -> Numbers:
     moves = [{"shoulder": np.pi / 2}, {"boom": 1.0}, {"shoulder": -np.pi / 2}, {"boom": -1.0}]
     gait = Gait.strokes([0.0, reach], moves, connection.joints)
     return numbers(-sum(changes), phase(connection, gait).pose[2])
-
-
-ARMS = (
-    dynamic_singularity, singular_angle, virtual_manipulator, spacedyn_one_link, satellite_arm,
-)  # fmt: skip

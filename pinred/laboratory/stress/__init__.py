@@ -3,5 +3,8 @@
 Each check yields cases: a measured number and its bound. The numbers are
 errors against a closed form, against Pinocchio's ABA on the full state, or against Pinocchio's
 energy and momentum. Invariance checks compare motions in other frames, other units, or reversed
-time. `run_stress` runs the checks; docs/stress.md derives the bounds.
+time. docs/stress.md derives the bounds.
 """
+
+from . import motion_checks as motion_checks
+from . import parameter_checks as parameter_checks

@@ -1,12 +1,19 @@
-"""Types of the stress suite: checks, their cases, options and outcomes; common bounds."""
+"""The stress suite: checks, their cases, options and outcomes; common bounds; the table.
+
+The decorator `check` adds a check to the suite.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import Literal, TypeAlias, TypeVar
 
+import numpy as np
+
+from ...common.errors import InputError, PinredError
 from ...integrators.methods import DOP853, RKMK4, AdaptiveGauss, Gauss, Method
 from ...simulation.members.trajectories import Trajectories
 from ...simulation.simulate import simulate
@@ -130,9 +137,17 @@ class Outcome:
         return bool(self.cases) and not self.stopped and all(case.passed for case in self.cases)
 
 
+CHECKS: dict[str, Check] = {}  # all checks by name, in the order of the table
+
+
 def check(name: str, what: str) -> Callable[[Callable[[Trial], Cases]], Check]:
     """Return a decorator that makes a check of a generator of cases; see Check."""
-    return lambda cases: Check(name, what, cases)
+
+    def decorate(cases: Callable[[Trial], Cases]) -> Check:
+        CHECKS[name] = Check(name, what, cases)
+        return CHECKS[name]
+
+    return decorate
 
 
 def tolerance(rtol: float) -> dict[str, float]:
@@ -150,3 +165,60 @@ DEFECT = 3.0  # largest defect of one step
 PER_RADIAN = 3.0  # largest error per radian of rotation
 PER_GROWTH = 100.0  # largest ratio of the final error to the growth of a small perturbation
 EPS = 2.220446049250313e-16
+
+
+def select_checks(names: Sequence[str]) -> list[Check]:
+    """Return the named checks, or all if `names` is empty; raise InputError for an unknown name."""
+    unknown = [name for name in names if name not in CHECKS]
+    if unknown:
+        raise InputError(f"no check '{unknown[0]}'; the checks are {', '.join(CHECKS)}")
+    return [CHECKS[name] for name in names or CHECKS]
+
+
+def run_checks(
+    checks: Iterable[Check], trial: Trial, *, on_case: Callable[[Check, int], None] | None = None
+) -> Iterator[Outcome]:
+    """Run checks in order.  on_case: called with a check and the number of its finished cases."""
+    for check in checks:
+        yield run_check(check, trial, on_case)
+
+
+def run_check(
+    check: Check, trial: Trial, on_case: Callable[[Check, int], None] | None = None
+) -> Outcome:
+    """Run a check; errors of pinred count as failures of the check."""
+    began = time.perf_counter()
+    cases: list[Case] = []
+    stopped = ""
+    try:
+        # A result that overflows exceeds its bound, so numpy's warnings are redundant.
+        with np.errstate(all="ignore"):
+            for case in check.cases(trial):
+                cases.append(case)
+                if on_case is not None:
+                    on_case(check, len(cases))
+    except PinredError as error:
+        stopped = " ".join(f"{type(error).__name__}: {error}".split())
+    return Outcome(check.name, check.what, tuple(cases), time.perf_counter() - began, stopped)
+
+
+def table(outcomes: Sequence[Outcome]) -> str:
+    """Format a table with the worst case of each check, followed by all failed cases."""
+    rows = [
+        f"{'check':<16} {'cases':>5} {'measured':>9} {'bound':>9}        {'wall':>6} s  worst case"
+    ]
+    rows += [
+        f"{outcome.name:<16} {len(outcome.cases):>5} {outcome.measured:>9.1e} "
+        f"{outcome.bound:>9.1e} {'ok' if outcome.passed else 'FAILED':>6} {outcome.wall:>8.1f}  "
+        f"{'' if outcome.worst is None else outcome.worst.name}"
+        for outcome in outcomes
+    ]
+    for outcome in outcomes:
+        rows += [f"{outcome.name}: {case}" for case in outcome.cases if not case.passed]
+        if outcome.stopped:
+            rows.append(
+                f"{outcome.name}: stopped after {len(outcome.cases)} cases: {outcome.stopped}"
+            )
+    passed = sum(outcome.passed for outcome in outcomes)
+    rows.append(f"{passed} of {len(outcomes)} checks passed")
+    return "\n".join(rows)

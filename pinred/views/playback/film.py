@@ -12,33 +12,25 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from types import FrameType
 
-import numpy as np
 import PIL.Image  # a dependency of meshcat
 from PIL.Image import Image as Picture
 
-from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError, OutputError
 from ...common.files import check_path, write_atomic
 from ...common.optional_packages import install_command
-from ...common.waiting import Progress, one_by_one, quiet, say, shown
-from ...simulation.simulate import simulate
-from ...system.load import load
-from ...system.robot_files import has_example_robots
+from ...common.waiting import Progress, quiet, say, shown
 from ..motion_source import MotionSource
 from .film_frames import Frames
 from .playback import frame_times
-from .view_options import FILM_FPS, View
+from .view_options import View
 
 SIZE = (960, 720)
 MOST_FRAMES, MOST_FPS = 20_000, 120
-_BUNDLED, _EXAMPLES = ("falling_cat", "satellite_two_arms"), ("solo12", "talos")
-_SPAN, _TIMED = 2.0, 15  # duration [s] and number of frames of a measurement
 _MEASURED = 5  # number of frames whose time is measured to estimate that of all
 _PATIENCE = 2.0  # least remaining time that is announced [s]
 GIF_FPS = (0.01, 50.0)  # gif delays are multiples of 0.01 s; browsers slow delays below 0.02 s
@@ -320,55 +312,3 @@ def _write_mp4(
                 raise OutputError(f"ffmpeg failed: {lines[-1] if lines else f'code {code}'}")
         write_atomic(path, lambda file: file.write(film.read_bytes()))
     return count
-
-
-@checks_arguments
-@dataclass(frozen=True)
-class FilmTiming:
-    """Time of a frame of a robot's film; the median of several frames.
-
-    Attributes:
-        robot: Name of the robot.
-        triangles: Number of triangles.
-        frame: Processor time of a frame, without its encoding [s].
-    """
-
-    robot: str
-    triangles: int
-    frame: float
-
-    @staticmethod
-    def header() -> str:
-        """Return the header of the table."""
-        return f"{'robot':<20} {'triangles':>10} {'frame [s]':>10} {'per second':>11}"
-
-    def __str__(self) -> str:
-        rate = 1.0 / self.frame
-        return f"{self.robot:<20} {self.triangles:>10} {self.frame:>10.4f} {rate:>11.1f}"
-
-
-@checks_arguments
-def bench_films(
-    robots: Sequence[str] = (), *, progress: Progress | bool | None = None
-) -> list[FilmTiming]:
-    """Measure the time of a film's frame for each robot.
-
-    Args:
-        robots: Names or files; two bundled robots and, if installed, solo12 and talos by default.
-        progress: True for a progress bar, or a function of the completed fraction.
-    Returns:
-        One result for each robot.
-    """
-    names = list(robots) or [*_BUNDLED, *(_EXAMPLES if has_example_robots() else ())]
-    return one_by_one(names, _bench_film, progress, "films")
-
-
-def _bench_film(name: str) -> FilmTiming:
-    traj = simulate(load(name, gravity=(0.0, 0.0, 0.0)), seed=1, duration=_SPAN)
-    frames, seconds = Frames(traj, View(fps=FILM_FPS), SIZE), []
-    frames.draw(0.0)  # loads or compiles the code
-    for t in np.linspace(0.0, _SPAN, _TIMED).tolist():
-        began = time.process_time()
-        frames.draw(t)
-        seconds.append(time.process_time() - began)
-    return FilmTiming(name, frames.triangles, float(np.median(seconds)))

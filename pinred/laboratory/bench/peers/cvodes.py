@@ -24,7 +24,6 @@ import pinocchio as pin
 from ....common.arrays import Array
 from ....common.errors import IntegrationError, UnsupportedOperationError
 from ....lie.group import Group
-from ....system.state_fields import with_base
 from ....system.system import System
 from ..problems import Problem
 from ..solver import ATOL, End, PreparedRun, Solver, decades
@@ -80,7 +79,8 @@ def _articulated(system: System, x: ca.SX, v: ca.SX, lift: ca.SX) -> ca.SX:
     base = ca.vertcat(lift, ca.SX(3, 1))  # gravity as an acceleration of the frame
     H = ca.mtimes(S.T, ca.mtimes(inertia[0], S)) + ca.SX(ca.diag(ca.DM(model.armature[:r])))
     load = -ca.mtimes(S.T, force[0] + ca.mtimes(inertia[0], base))
-    root = _solve_by_cholesky(ca.densify(H), load)
+    D, L, order = ca.ldl(ca.densify(H))
+    root = ca.ldl_solve(load, D, L, order)
     rates, accelerations = [root], [base + ca.mtimes(S, root)]
     for k in range(1, len(axes)):
         U, D, u = saved[k]
@@ -115,22 +115,6 @@ def _cross(twist: ca.SX) -> ca.SX:
     """Return the matrix ad of the Lie bracket with a twist."""
     v, w = _skew(twist[:3]), _skew(twist[3:])
     return ca.blockcat([[w, v], [ca.SX(3, 3), w]])
-
-
-def _solve_by_cholesky(H: ca.SX, b: ca.SX) -> ca.SX:
-    """Return H⁻¹ b for a positive definite H, by LDLᵀ decomposition."""
-    n = H.size1()
-    L, D, z = ca.SX.eye(n), [ca.SX(0)] * n, [ca.SX(0)] * n
-    for j in range(n):
-        D[j] = H[j, j] - sum((L[j, k] ** 2 * D[k] for k in range(j)), ca.SX(0))
-        for i in range(j + 1, n):
-            product = sum((L[i, k] * L[j, k] * D[k] for k in range(j)), ca.SX(0))
-            L[i, j] = (H[i, j] - product) / D[j]
-        z[j] = b[j] - sum((L[j, k] * z[k] for k in range(j)), ca.SX(0))
-    solution = [ca.SX(0)] * n
-    for j in reversed(range(n)):
-        solution[j] = z[j] / D[j] - sum((L[i, j] * solution[i] for i in range(j + 1, n)), ca.SX(0))
-    return ca.vertcat(*solution)
 
 
 def _root_rotation(group: Group, root: ca.SX) -> ca.SX:
@@ -259,21 +243,15 @@ def _full(problem: Problem, tolerance: float) -> PreparedRun:
 
 
 def _reduced(problem: Problem, tolerance: float) -> PreparedRun:
-    from ....simulation.compiled.compiled_flow import CompiledFlow
-    from ....simulation.plan import plan_of
-
-    scene = problem.scene()
-    flow = CompiledFlow.of_plan(plan_of(scene))
+    flow = problem.flow
     code = problem.system.workspace(
         ("reduced C", problem.name), lambda: compiled(reduced_graph(problem))
     )
-    integrator = _integrator(code.function, scene.end, tolerance)
+    integrator = _integrator(code.function, problem.start.duration, tolerance)
     inputs = {"x0": flow.y0, "p": flow.parameters}
 
     def end(y: Array) -> End:
-        count = float(integrator.stats()["nfevals"])
-        states = with_base(flow.states(scene.report_times, y[None]), problem.name)
-        return End(states.x[0], states.q[0], states.v[0], count)
+        return problem.end(y, float(integrator.stats()["nfevals"]))
 
     return PreparedRun(lambda: _run(integrator, inputs), end, code.build)
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from scipy.spatial.transform import Rotation
 
 from ....common.arrays import Array
 from ....common.errors import IntegrationError
@@ -26,40 +27,26 @@ ORDERS: tuple[Order, ...] = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 
 _SAMPLES = 400  # number of times at which the motion is evaluated
 
 
-def rotation_about(axis: int, angle: float) -> Array:
-    """Return the rotation matrix about x, y or z (axis 0, 1 or 2)."""
-    R = np.eye(3)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    R[i, i] = R[j, j] = np.cos(angle)
-    R[j, i] = np.sin(angle)
-    R[i, j] = -R[j, i]
-    return R
+def _sequence(order: Order) -> str:
+    """Return SciPy's name of rotations about moving axes."""
+    return "".join("XYZ"[axis] for axis in order)
 
 
 def angles_of(R: Array, order: Order) -> Array:
     """Compute the three angles of a rotation matrix, the second in [−π/2, π/2]."""
-    i, j, k = order
-    sign = 1.0 if (j - i) % 3 == 1 else -1.0
-    return np.array(
-        [
-            np.arctan2(-sign * R[j, k], R[k, k]),
-            np.arcsin(np.clip(sign * R[i, k], -1.0, 1.0)),
-            np.arctan2(-sign * R[i, j], R[i, i]),
-        ]
-    )
+    return np.asarray(Rotation.from_matrix(R).as_euler(_sequence(order)))
 
 
 def rotation_of(angles: Array, order: Order) -> Array:
     """Compute the rotation matrix of three angles."""
-    first, second, third = (rotation_about(a, t) for a, t in zip(order, angles, strict=True))
-    return np.asarray(first @ second @ third)
+    return np.asarray(Rotation.from_euler(_sequence(order), angles).as_matrix())
 
 
 def spin_matrix(angles: Array, order: Order) -> Array:
     """Compute the matrix (3, 3) that maps angle rates to the body's angular velocity."""
-    third = rotation_about(order[2], angles[2]).T
-    second = third @ rotation_about(order[1], angles[1]).T
     unit = np.eye(3)
+    third = Rotation.from_rotvec(angles[2] * unit[order[2]]).as_matrix().T
+    second = third @ Rotation.from_rotvec(angles[1] * unit[order[1]]).as_matrix().T
     return np.column_stack([second @ unit[order[0]], third @ unit[order[1]], unit[order[2]]])
 
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from ....common.arrays import Array
 from ....common.errors import IntegrationError, UnsupportedOperationError
-from ....system.state_fields import with_base
-from ..member_batch import BatchSolver, PreparedBatch, compile_members, final_states
+from ....kernels.reduced_graph import ReducedGraph
+from ..member_batch import compile_members
 from ..problems import Problem
-from ..solver import End, PreparedRun, Solver, decades
+from ..solver import PreparedRun, Solver, decades
 from .equality import INSTALL
 
 
@@ -28,12 +28,7 @@ def has_heyoka() -> bool:
 
 def reduced_graph(problem: Problem) -> ca.Function:
     """Return the reduced vector field that pinred compiles, as a CasADi Function."""
-    from ....kernels.reduced_graph import ReducedGraph
-    from ....simulation.compiled.compiled_flow import CompiledFlow
-    from ....simulation.plan import plan_of
-
-    kernel = CompiledFlow.of_plan(plan_of(problem.scene())).kernel
-    return ReducedGraph(problem.system, kernel.structure).rate()
+    return ReducedGraph(problem.system, problem.flow.kernel.structure).rate()
 
 
 def taylor_expressions(function: ca.Function, parameters: Sequence[Any]) -> list[tuple[Any, Any]]:
@@ -131,11 +126,7 @@ MOST_UNROLLED = 300  # largest number of instructions that heyoka unrolls within
 
 
 def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> PreparedRun:
-    from ....simulation.compiled.compiled_flow import CompiledFlow
-    from ....simulation.plan import plan_of
-
-    scene = problem.scene()
-    flow = CompiledFlow.of_plan(plan_of(scene))
+    flow, duration = problem.flow, problem.start.duration
     began = time.perf_counter()
     ta = taylor_integrator(
         reduced_graph(problem), flow.parameters.tolist(), flow.y0, tolerance, unrolled=unrolled
@@ -145,17 +136,12 @@ def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> PreparedR
     def run() -> Any:
         ta.time = 0.0
         ta.state[:] = flow.y0
-        outcome, _, _, steps, *_ = ta.propagate_until(scene.end)
+        outcome, _, _, steps, *_ = ta.propagate_until(duration)
         if outcome.name != "time_limit":
             raise IntegrationError(f"heyoka stopped with {outcome.name} at t = {ta.time:g} s")
         return steps
 
-    def end(steps: Any) -> End:
-        reduced = flow.states(scene.report_times, np.array([ta.state]))
-        states = with_base(reduced, scene.system.name)
-        return End(states.x[0], states.q[0], states.v[0], int(steps))
-
-    return PreparedRun(run, end, build)
+    return PreparedRun(run, lambda steps: problem.end(np.array(ta.state), int(steps)), build)
 
 
 def _not_installed(_: Problem) -> str:
@@ -197,9 +183,7 @@ HEYOKA_SLOW = (HEYOKA[0], _unrolled(_not_installed))
 _BATCH_TOLERANCES = decades(7, 14)
 
 
-def _prepare_batch(
-    members: Sequence[Problem], tolerance: float, *, unrolled: bool
-) -> PreparedBatch:
+def _prepare_batch(members: Sequence[Problem], tolerance: float, *, unrolled: bool) -> PreparedRun:
     hy = import_module("heyoka")
     flows, end = compile_members(members), members[0].start.duration
     width = hy.recommended_simd_size()
@@ -226,7 +210,7 @@ def _prepare_batch(
             final_states_of_groups.append(ta.state.T.copy())
         return np.concatenate(final_states_of_groups)[: len(members)]
 
-    return PreparedBatch(run, lambda y, count: final_states(members, flows, y, count))
+    return PreparedRun(run, lambda y, member: members[member].end(y[member]))
 
 
 def _long_to_unroll_batch(problem: Problem) -> str:
@@ -235,8 +219,8 @@ def _long_to_unroll_batch(problem: Problem) -> str:
     return _not_installed(problem)
 
 
-def _batch(name: str, about: str, missing: Callable[[Problem], str], **how: Any) -> BatchSolver:
-    return BatchSolver(name, about, _BATCH_TOLERANCES, partial(_prepare_batch, **how), missing)
+def _batch(name: str, about: str, missing: Callable[[Problem], str], **how: Any) -> Solver:
+    return Solver(name, about, _BATCH_TOLERANCES, partial(_prepare_batch, **how), missing)
 
 
 HEYOKA_BATCH = (

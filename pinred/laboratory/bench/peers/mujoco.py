@@ -14,7 +14,6 @@ from ....common.arrays import Array
 from ....common.errors import UnsupportedOperationError
 from ....lie.group import Group
 from ....system.system import System
-from ..member_batch import BatchSolver, PreparedBatch
 from ..problems import Problem
 from ..solver import End, PreparedRun, Solver, halvings, steps_of
 from .equality import frame_rotation_term, missing_unless_equal, root_rotation
@@ -248,7 +247,7 @@ _CHUNK = 1000  # number of steps in one call; rollout stores the states of all s
 _MEMBERS = 2
 
 
-def _prepare_rollout(members: Sequence[Problem], fraction: float) -> PreparedBatch:
+def _prepare_rollout(members: Sequence[Problem], fraction: float) -> PreparedRun:
     bridge = mujoco_model(members[0].system)
     rollout = import_module("mujoco.rollout")
     mj, model = bridge.mj, bridge.model
@@ -268,18 +267,15 @@ def _prepare_rollout(members: Sequence[Problem], fraction: float) -> PreparedBat
             states, done = np.ascontiguousarray(history[:, -1]), done + steps
         return states
 
-    def ends(states: Array, members_count: int) -> list[End]:
-        nq = model.nq
-        return [
-            bridge.end(row[1 : 1 + nq], row[1 + nq : 1 + nq + model.nv], 4 * count)
-            for row in states[:members_count]
-        ]
+    def end(states: Array, member: int) -> End:
+        qpos, qvel = np.split(states[member, 1 : 1 + model.nq + model.nv], [model.nq])
+        return bridge.end(qpos, qvel, 4 * count)
 
-    return PreparedBatch(run, ends)
+    return PreparedRun(run, end)
 
 
 ROLLOUT = (
-    BatchSolver(
+    Solver(
         "mujoco-rollout",
         "MuJoCo's rollout with RK4, equal steps",
         halvings(400, 10),

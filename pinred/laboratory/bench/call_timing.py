@@ -1,0 +1,249 @@
+"""Times of whole calls: comparisons, Floquet multipliers, and frames of films."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from ...analysis.equilibria.find import relative_equilibria
+from ...analysis.equilibria.relative_equilibrium import RelativeEquilibrium
+from ...analysis.stability.along_motions import floquet, linearise
+from ...analysis.stability.linearised_flow import without_base
+from ...common.argument_kinds import checks_arguments
+from ...common.arrays import Array
+from ...common.errors import InputError
+from ...common.progress import Progress
+from ...common.waiting import one_by_one
+from ...forces.kinds import Damper
+from ...judge.compare import compare
+from ...kernels.state_jacobian import jacobian_of
+from ...reduction.pointwise_reduction import PointwiseReduction
+from ...scene.scene import Scene
+from ...simulation.compiled.compiled_flow import CompiledFlow
+from ...simulation.plan import plan_of
+from ...simulation.simulate import simulate
+from ...simulation.trajectory import Trajectory
+from ...system.load import load
+from ...views.playback.film import SIZE
+from ...views.playback.film_frames import Frames
+from ...views.playback.view_options import FILM_FPS, View
+from .timing import Table, alternating, repeated, robots_to_measure
+
+_ROUNDS = 7
+
+
+def _free(robot: str, duration: float) -> Callable[[], Trajectory]:
+    """Return a function that simulates a free motion from a random state."""
+    return lambda: simulate(load(robot, gravity=(0.0, 0.0, 0.0)), seed=1, duration=duration)
+
+
+def _driven() -> Trajectory:
+    """Simulate the cat with a prescribed joint and a damper."""
+    return simulate(
+        load("falling_cat"),
+        prescribed={"bend": "0.5*sin(2*t)"},
+        forces=[Damper("sway", 0.1)],
+        xdot0=[1.0, 0.5, 0.0],
+        duration=10.0,
+    )
+
+
+BUNDLED: dict[str, Callable[[], Trajectory]] = {
+    "falling_cat, 2 s": _free("falling_cat", 2.0),
+    "falling_cat, 10 s, driven": _driven,
+}
+EXAMPLES: dict[str, Callable[[], Trajectory]] = {
+    "solo12, 2 s": _free("solo12", 2.0),
+    "solo12, 10 s": _free("solo12", 10.0),
+    "talos, 2 s": _free("talos", 2.0),
+}
+SCENES = {**BUNDLED, **EXAMPLES}
+
+
+@checks_arguments
+def bench_compare(scenes: Sequence[str] = (), *, progress: Progress | bool | None = None) -> Table:
+    """Measure the time of `compare`.
+
+    Args:
+        scenes: Names of SCENES; by default all whose robots are installed.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        A row for each scene: the time of `compare` [s], the same relative to one integration by ABA
+        at the scene's tolerance, which is a part of the comparison, and the verdict. Times are
+        medians of rounds that alternate between the scenes.
+    Raises:
+        InputError: A scene is unknown.
+    """
+    names = robots_to_measure(scenes, [*BUNDLED], [*EXAMPLES])
+    if unknown := [name for name in names if name not in SCENES]:
+        raise InputError(f"no scene '{unknown[0]}'; the scenes are {', '.join(SCENES)}")
+    motions = one_by_one(names, lambda name: SCENES[name](), progress, "scenes")
+    walls: list[list[float]] = [[] for _ in names]
+    verdicts = [""] * len(names)
+
+    def comparison(k: int) -> Callable[[], None]:
+        def run() -> None:
+            report = compare(motions[k])
+            walls[k].append(report.wall_full)
+            verdicts[k] = str(report.verdict)
+
+        return run
+
+    actions = [repeated(comparison(k)) for k in range(len(names))]
+    times = alternating(actions, rounds=_ROUNDS, span=1e-3)
+    seconds = np.nanmedian(times, axis=0).tolist()
+    rows = [
+        SimpleNamespace(
+            scene=name, seconds=s, integrations=s / float(np.median(wall)), verdict=verdict
+        )
+        for name, s, wall, verdict in zip(names, seconds, walls, verdicts, strict=True)
+    ]
+    columns = {
+        "scene": "<28",
+        "seconds": ">12.3f compare [s]",
+        "integrations": ">13.1f",
+        "verdict": "<7",
+    }
+    return Table("compare", columns, tuple(rows))
+
+
+# Robots with one rotation axis, and their angular momentum J [N·m·s].
+PROBLEMS = {"double_spherical_pendulum": 2.0, "planar_chain5": 1.0}
+ROUTES = ("pinred.floquet", "differences of pinred.simulate", "SciPy's DOP853 over the kernel")
+_STEP = 1e-4  # step of the finite differences of shape [rad] and momentum [kg m²/s]
+
+
+@checks_arguments
+def bench_floquet(*, rounds: int = 5, progress: Progress | bool | None = None) -> Table:
+    """Compute Floquet multipliers on three routes and compare them with e^{λT}.
+
+    A relative equilibrium is periodic with any period T, and its multipliers follow from the
+    eigenvalues λ of the linearised flow. The routes are `pinred.floquet`, which integrates the
+    linearised flow in machine code; finite differences of `pinred.simulate`; and SciPy's DOP853
+    over the same rates and Jacobian, called from Python. The steady motions have the lowest energy
+    of each robot in PROBLEMS.
+
+    Args:
+        rounds: Number of rounds, of which the median is reported.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        A row for each robot and route: the period [s], the wall time [s], and the largest error of
+        multipliers relative to the largest |μ|.
+    """
+    measure = partial(_measure_routes, rounds=rounds)
+    columns = {
+        "robot": "<26",
+        "period": ">10.3f period [s]",
+        "route": "<32",
+        "wall": ">9.5f wall [s]",
+        "error": ">9.1e",
+    }
+    rows = one_by_one(list(PROBLEMS), measure, progress, "floquet")
+    return Table("floquet", columns, tuple(row for some in rows for row in some))
+
+
+def _measure_routes(name: str, rounds: int) -> list[SimpleNamespace]:
+    least = relative_equilibria(load(name), momentum=PROBLEMS[name], starts=50)[0]
+    T = 2.0 * np.pi / float(least.frequencies[0])
+    traj = simulate(least.scene(duration=T))
+    values = linearise(traj).eigenvalues
+    exact = _sort_by_angle(np.exp(values * T))
+    routes: list[Callable[[], Array]] = [
+        lambda: floquet(traj).monodromy,
+        lambda: _differences(least, T),
+        lambda: _by_scipy(traj.scene, T),
+    ]
+    computed = [_sort_by_angle(np.linalg.eigvals(route()).astype(complex)) for route in routes]
+    error = [float(np.abs(mu - exact).max() / np.abs(exact).max()) for mu in computed]
+    wall = np.median(alternating([repeated(route) for route in routes], rounds=rounds), axis=0)
+    return [
+        SimpleNamespace(robot=name, period=T, route=route, wall=seconds, error=largest)
+        for route, seconds, largest in zip(ROUTES, wall.tolist(), error, strict=True)
+    ]
+
+
+def _sort_by_angle(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return multipliers sorted by their rounded angle, so that round-off keeps the order."""
+    values = np.asarray(values, dtype=complex)
+    return values[np.argsort(np.round(np.angle(values), 5), kind="stable")]
+
+
+def _differences(least: RelativeEquilibrium, T: float) -> Array:
+    """Compute the monodromy matrix, (2m, 2m), from central differences of simulations."""
+    system, red = least.system, PointwiseReduction(least.system)
+    r, m = system.r, system.m
+    start = red.mass_matrix(least.x) @ np.concatenate([least.xi, least.xdot])
+    scene = least.scene(duration=T)
+    mu = np.zeros(r)  # with zero linear momentum, the angular momentum is the same about any point
+    mu[-1] = least.momentum
+
+    def final_state(change: Array) -> Array:
+        x, pi = least.x + change[:m], start[r:] + change[m:]
+        v = np.linalg.solve(red.mass_matrix(x), np.concatenate([mu, pi]))
+        end = simulate(replace(scene, x0=x, xdot0=v[r:], xi0=v[:r], times=[T], duration=None))
+        velocity = np.concatenate([end.xi[-1], end.xdot[-1]])
+        return np.concatenate([end.x[-1], (red.mass_matrix(end.x[-1]) @ velocity)[r:]])
+
+    columns = [(final_state(h) - final_state(-h)) / (2.0 * _STEP) for h in _STEP * np.eye(2 * m)]
+    return np.array(columns).T
+
+
+def _by_scipy(scene: Scene, T: float) -> Array:
+    """Compute the monodromy matrix, (k, k), with SciPy's DOP853 applied to kernel and Jacobian."""
+    flow = CompiledFlow.of_plan(plan_of(without_base(scene)))
+    n = len(flow.y0)
+
+    def rate(_t: float, z: Array) -> Array:
+        y, Y = z[:n], z[n:].reshape(n, n)
+        J = jacobian_of(flow.kernel, y, flow.parameters)
+        return np.concatenate([flow.kernel.evaluate_rate(y, flow.parameters), (J @ Y).ravel()])
+
+    z0 = np.concatenate([flow.y0, np.eye(n).ravel()])
+    solution = solve_ivp(rate, (0.0, T), z0, method="DOP853", rtol=1e-11, atol=1e-13)
+    return np.asarray(solution.y[n:, -1].reshape(n, n), dtype=float)
+
+
+_FILMED, _FILMED_EXAMPLES = ("falling_cat", "satellite_two_arms"), ("solo12", "talos")
+_SPAN, _TIMED = 2.0, 15  # duration [s] and number of frames of a measurement
+
+
+@checks_arguments
+def bench_films(robots: Sequence[str] = (), *, progress: Progress | bool | None = None) -> Table:
+    """Measure the time of a film's frame for each robot.
+
+    Args:
+        robots: Names or files; two bundled robots and, if installed, solo12 and talos by default.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        A row for each robot: the number of triangles, the median processor time of a frame without
+        its encoding [s], and frames per second.
+    """
+    names = robots_to_measure(robots, _FILMED, _FILMED_EXAMPLES)
+    columns = {
+        "robot": "<20",
+        "triangles": ">10",
+        "frame": ">10.4f frame [s]",
+        "per_second": ">11.1f per second",
+    }
+    return Table("films", columns, tuple(one_by_one(names, _bench_film, progress, "films")))
+
+
+def _bench_film(name: str) -> SimpleNamespace:
+    traj = simulate(load(name, gravity=(0.0, 0.0, 0.0)), seed=1, duration=_SPAN)
+    frames, seconds = Frames(traj, View(fps=FILM_FPS), SIZE), []
+    frames.draw(0.0)  # loads or compiles the code
+    for t in np.linspace(0.0, _SPAN, _TIMED).tolist():
+        began = time.process_time()
+        frames.draw(t)
+        seconds.append(time.process_time() - began)
+    frame = float(np.median(seconds))
+    return SimpleNamespace(
+        robot=name, triangles=frames.triangles, frame=frame, per_second=1.0 / frame
+    )
