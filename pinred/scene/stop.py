@@ -16,6 +16,7 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import InputError
 from ..common.names import brief, listed, nearest, quoted
+from ..system.loops.loop import BallSurface
 from ..system.merge_hinges import LIMITS as LIMITS_OF_HINGES
 from ..system.stated_limits import POSITION, limits_of
 from ..system.system import System
@@ -137,10 +138,10 @@ class BallStop:
             )
         if math.isinf(self.angle) and math.isinf(self.swing) and all(map(math.isinf, twist)):
             raise InputError("expected a finite angle, swing or twist, got none. Omit the joint")
-        if not 0.0 < self.restitution <= 1.0:
+        if not 0.0 <= self.restitution <= 1.0:
             raise InputError(
-                f"restitution: expected a number above 0, up to 1, got {self.restitution:g}. Balls "
-                "do not rest at their stops; load the ball as three hinges for that"
+                f"restitution: expected a number from 0 (rest) to 1 (no loss), got "
+                f"{self.restitution:g}"
             )
         if not (0.0 < self.rest_rate < math.inf):
             raise InputError(f"rest_rate: expected a positive rate, got {self.rest_rate:g}")
@@ -185,6 +186,10 @@ class Bound:
         row = np.zeros(m)
         row[self.v] = self.sign
         return row
+
+    def normal_rate(self, x: Array, xdot: Array) -> Array:  # noqa: ARG002
+        """Return the time derivative of the normal at shape rate xdot (m,), (m,)."""
+        return np.zeros(len(xdot))
 
     def place(self, x: Array) -> None:
         """Move the joint to its stop, in a shape x (nx,) that is at it up to round-off."""
@@ -235,6 +240,37 @@ class BallBound(Bound):
         row = np.zeros(m)
         row[self.v : self.v + 3] = self.sign * rates
         return row
+
+    def normal_rate(self, x: Array, xdot: Array) -> Array:
+        """Return the time derivative of the normal at shape rate xdot (m,), (m,)."""
+        v, w = self._quaternion(x)
+        n, rates = self._axis, xdot[self.v : self.v + 3]
+        dv, dw = 0.5 * (w * rates + np.cross(v, rates)), -0.5 * float(v @ rates)
+        along, across = float(v @ n), np.cross(v, n)
+        dalong, dacross = float(dv @ n), np.cross(dv, n)
+        if self.kind == "angle":
+            tilted, change = math.copysign(1.0, w) * v, math.copysign(1.0, w) * dv
+        elif self.kind == "swing":
+            tilted = w * np.cross(n, across) + along * across
+            change = dw * np.cross(n, across) + w * np.cross(n, dacross)
+            change += dalong * across + along * dacross
+        else:
+            size = along**2 + float(w) ** 2
+            tilted = (along * (v - along * n) - w * across) / size
+            change = dalong * (v - 2.0 * along * n) + along * dv - dw * across - w * dacross
+            change = (change - 2.0 * (along * dalong + float(w) * dw) * tilted) / size
+        if self.kind != "twist":  # a unit vector
+            length = max(float(np.linalg.norm(tilted)), 1e-300)
+            unit = tilted / length
+            change = (change - (unit @ change) * unit) / length
+        row = np.zeros(len(xdot))
+        row[self.v : self.v + 3] = self.sign * change
+        return row
+
+    @property
+    def surface(self) -> BallSurface:
+        """The attitudes at the stop."""
+        return BallSurface(self.joint, self.kind, self.position, tuple(self._axis.tolist()))
 
     def place(self, x: Array) -> None:
         """Turn the ball to its stop, in a shape x (nx,) that is at it up to round-off."""

@@ -192,10 +192,10 @@ class StoppedMotion(Motion):
     def _numbers(self, k: int) -> Array:
         return self._own_numbers[k]
 
-    def locked(self, t: Array) -> Iterator[tuple[tuple[int, ...], Indices]]:
-        """Yield the rates of the joints at rest; see Motion.locked."""
+    def resting(self, t: Array) -> Iterator[tuple[Rest, Indices]]:
+        """Yield the stops at which joints rest; see Motion.resting."""
         for k, rows in self._by_segment(self._which(t)):
-            yield tuple(bound.v for bound in self._of_segment[k].mode.rest), rows
+            yield self._of_segment[k].mode.rest, rows
 
 
 def momentum_of(state: State | ShapeState, system: System) -> Array:
@@ -302,9 +302,8 @@ def reactions_of(plan: Plan, rest: Rest, t: Array, samples: Sample, numbers: Arr
         samples: States that forces depend on.
         numbers: Force parameters of the scene, (p,).
     """
-    locked, rows = [bound.v for bound in rest], np.tile(numbers, (len(t), 1))
-    torques = driving_torques(plan, t, samples, rows, locked)[:, len(plan.acting.driven) :]
-    return np.asarray(torques * np.array([bound.sign for bound in rest]))
+    torques = driving_torques(plan, t, samples, np.tile(numbers, (len(t), 1)), rest)
+    return np.asarray(torques[:, len(plan.acting.driven) :])
 
 
 def locked_scene(
@@ -314,7 +313,9 @@ def locked_scene(
     xdot: Array,
     places: Sequence[float | Parameter] | None = None,
 ) -> Scene:
-    """Return a scene without stops in which some joints are locked at their stops.
+    """Return a scene without stops in which some joints rest at their stops.
+
+    Hinges and slides are locked.  The attitudes of balls are on a surface, like joints in loops.
 
     Args:
         scene: The scene.
@@ -325,7 +326,12 @@ def locked_scene(
     """
     start, names = scene.start, scene.system.shape_names
     at = [bound.position for bound in rest] if places is None else places
-    plans = {names[bound.v]: place for bound, place in zip(rest, at, strict=True)}
+    surfaces = tuple(bound.surface for bound in rest if isinstance(bound, BallBound))
+    plans = {
+        names[bound.v]: place
+        for bound, place in zip(rest, at, strict=True)
+        if not isinstance(bound, BallBound)
+    }
     resting = frozenset(bound.v for bound in rest)
     forces = [
         ComputedTorqueAtRest(**vars(force), resting=resting)
@@ -334,7 +340,7 @@ def locked_scene(
         for force in list_forces(scene.forces)
     ]
     return replace(
-        scene, x0=x, xdot0=xdot, xi0=start.xi, pose0=start.pose, momentum=None, seed=None,
+        scene, system=scene.system.on_surfaces(surfaces) if surfaces else scene.system, x0=x, xdot0=xdot, xi0=start.xi, pose0=start.pose, momentum=None, seed=None,
         keyframe=None, q0=None, v0=None, prescribed={**scene.prescribed, **plans},
         forces=forces,
     )  # fmt: skip
@@ -409,10 +415,10 @@ class _Run:
         mode = self._modes.get(rest)
         if mode is None:
             began = time.perf_counter()
-            locked = {bound.v for bound in rest}
+            locked = {bound.v for bound in rest if not isinstance(bound, BallBound)}
             plan = self._limited(locked_scene(self._free, rest, x, xdot))
             flow = self.first.in_mode(plan)
-            moving = tuple(bound for bound in self.bounds if bound.v not in locked)
+            moving = tuple(b for b in self.bounds if b not in rest and b.v not in locked)
             integrate = self._engine.integrator(flow, plan, self.progress)
             mode = self._modes[rest] = Mode(rest, moving, flow, integrate)
             self.building += time.perf_counter() - began
@@ -531,10 +537,10 @@ class _Run:
         pi += impulse @ normals
         rates = xdot.copy()
         rates[self._rates] += inverse @ impulse
-        if self.system.loops:
+        if self.system.loops or any(isinstance(bound, BallBound) for bound in rest):
             pi = self._momenta_in_loops(state, x, rates)
         rests = tuple(b for b, stays in zip(bounds, resting, strict=True) if stays)
-        rates[[b.v for b in rests]] = 0.0
+        rates[[b.v for b in rests if not isinstance(b, BallBound)]] = 0.0
         new = self.mode(rests, x, rates)
         flow = new.start.resumed(state.t, x, pi, state.flow, state.y)
         impact = _impact(state.t, contact, impulse, after)
@@ -553,9 +559,6 @@ class _Run:
         other joints, so the decision is repeated without those that leave. At a contact, the joint
         is moved to its stop, which is a lift by round-off that can sustain a very slow rebound.
         Such a rebound becomes rest, too.
-
-        Raises:
-            IntegrationError: A ball comes to rest at its stop.
         """
         bounds, u, G = contact.bounds, contact.u, contact.G
         e = np.array([bound.stop.restitution for bound in bounds])
@@ -567,14 +570,6 @@ class _Run:
         usual = impulses(G, u, e)
         rebound = np.where(usual > 0.0, -e * u, u + G @ usual)
         slow = contact.may_rest & (rebound <= np.maximum(slowest, _SLOW))
-        for k in (k for k, bound in enumerate(bounds) if isinstance(bound, BallBound)):
-            slow[k] = False
-            if usual[k] > 0.0 and rebound[k] <= slowest[k]:
-                raise IntegrationError(
-                    f"stops: ball joint '{bounds[k].joint}' of '{self.system.name}' comes to rest "
-                    f"at its {bounds[k].side} stop at t = {state.t:g} s, which is not simulated. "
-                    "End the motion earlier, or load the ball as three hinges"
-                )
         if not slow.any():
             return usual, rebound, slow
         while True:
@@ -622,7 +617,7 @@ class _Run:
         return solve_complementarity(G, -G @ locked) > 0.0, back
 
     def _refuse_dependent(self, bounds: Rest, G: Array, t: float) -> None:
-        """Reject stops of joints to which the loops leave no motions of their own.
+        """Reject stops that leave each other no motions of their own, by loops or at one ball.
 
         Args:
             bounds: The stops.
@@ -631,14 +626,15 @@ class _Run:
         Raises:
             IntegrationError: The motions of these joints depend on each other.
         """
-        if not self.system.loops or not bounds:
+        balls = [bound.v for bound in bounds if isinstance(bound, BallBound)]
+        if not bounds or not (self.system.loops or len(balls) > len({*balls})):
             return
         scale = 1.0 / np.sqrt(np.maximum(np.diag(G), 1e-300))
         if np.linalg.eigvalsh(scale[:, None] * G * scale)[0] > _DEPENDENT:
             return
         names = listed([f"{bound.joint} at its {bound.side} stop" for bound in bounds], 8)
         raise IntegrationError(
-            f"stops: the loops of '{self.system.name}' leave {names} no independent motions at "
+            f"stops: the joints of '{self.system.name}' have no independent motions for {names} at "
             f"t = {t:g} s, so the reactions of these stops are not determined. Omit one of them"
         )
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats, vector
 from ..common.errors import InputError, ModelError, ShapeError, UnsupportedOperationError
-from ..common.memo import once_a_thread
+from ..common.memo import once_a_thread, recent
 from ..common.names import listed
 from ..lie.group import Group
 from .admission import admit, check_joints
@@ -37,13 +37,14 @@ from .coordinates import (
 from .coupling import Coupled, coupled, following
 from .force_interface import Force
 from .joints import axes_of
-from .loops.loop import Constraint
+from .loops.loop import BallSurface, Constraint
 from .loops.loop_assembly import close_loops
 from .loops.looped_system import Closure
 from .rebuild import depth_first
 from .robot_file_contents import Actuator, Contents, Coupling, Keyframe, LeftOut, Origin
 
 T = TypeVar("T")
+_MOST_SURFACES = 128  # Largest number of copies with balls on surfaces that a system keeps.
 
 
 @checks_arguments
@@ -274,6 +275,23 @@ class System:
             return tree
 
         return self.workspace("open tree", make)
+
+    def on_surfaces(self, surfaces: tuple[BallSurface, ...]) -> System:
+        """Return the system as it was loaded, with attitudes of balls on surfaces; see BallSurface.
+
+        Args:
+            surfaces: Independent surfaces.
+        """
+        loaded = nominal(self)
+
+        def make() -> System:
+            held = copy(loaded)
+            contents = replace(loaded.contents, loops=(*loaded.loops, *surfaces))
+            vars(held).update(contents=contents, closure=None)
+            vars(held)["closure"] = close_loops(held)
+            return held
+
+        return recent(loaded, surfaces, make, _MOST_SURFACES, BallSurface)
 
     @property
     def root_name(self) -> str:

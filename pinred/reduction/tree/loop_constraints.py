@@ -41,7 +41,7 @@ import pinocchio as pin
 from ...common.memo import once
 from ...system.coordinates import PlacedJoint, ShapeSpace
 from ...system.loops.kinematics import LoopEnd, loop_ends, rotation_axes
-from ...system.loops.loop import JointPolynomial, Loop
+from ...system.loops.loop import BallSurface, JointPolynomial, Loop
 from ...system.loops.loop_assembly import rate_units, scaled_jacobian
 from ...system.system import System, nominal
 from .all_joints import joint_rates, joint_values, on_shape
@@ -58,6 +58,7 @@ from .scalars import (
     factor_ldl,
     mul,
     plus,
+    quaternion_rate,
     solve_factored,
     sub,
     total,
@@ -241,6 +242,51 @@ class PolynomialRow:
         return value
 
 
+@dataclass
+class SurfaceRow:
+    """The row of a surface of a ball's attitudes."""
+
+    tree: ShapeSpace
+    surface: BallSurface
+    joints: Sequence[Scalar]
+
+    def row(self, n: int) -> dict[int, Scalar]:  # noqa: ARG002
+        """Return the row of J: {tree rate: entry}."""
+        q, v = self._ball
+        return dict(zip(v, _along_rates(q, self._slope(q, constant=True)), strict=True))
+
+    def turning(self, nu: Mapping[int, Scalar], rates: Sequence[Scalar]) -> dict[int, Scalar]:
+        """Return J̇ᵀν, as LoopRows.turning does."""
+        q, v = self._ball
+        turn = quaternion_rate(q, [rates[k] for k in v])
+        first = _along_rates(q, self._slope(turn, constant=False))
+        second = _along_rates(turn, self._slope(q, constant=True))
+        return dict(zip(v, [mul(nu[0], c) for c in plus(first, second)], strict=True))
+
+    @property
+    def value(self) -> Scalar:
+        """The constraint φ."""
+        q, (S, l, c) = self._ball[0], self.surface.form
+        slope = [add(0.5 * dot(row, q), float(k)) for row, k in zip(S.tolist(), l, strict=True)]
+        return sub(dot(slope, q), c)
+
+    @property
+    def _ball(self) -> tuple[list[Scalar], range]:
+        """The quaternion of the ball, and the indices of its rates."""
+        joint = next(joint for joint in self.tree.joints if joint.name == self.surface.ball)
+        return list(self.joints[joint.x]), range(joint.v.start, joint.v.stop)
+
+    def _slope(self, q: Sequence[Scalar], *, constant: bool) -> list[Scalar]:
+        """Return S q, plus l if `constant`."""
+        S, l, _ = self.surface.form
+        return [add(dot(row, q), float(k) * constant) for row, k in zip(S.tolist(), l, strict=True)]
+
+
+def _along_rates(q: Sequence[Scalar], slope: Sequence[Scalar]) -> list[Scalar]:
+    """Return the components of a derivative by a quaternion q along the rates of its ball, (3,)."""
+    return [dot(slope, quaternion_rate(q, unit)) for unit in _UNITS]
+
+
 def chain_to_root(bodies: Sequence[Body], end: LoopEnd) -> list[int]:
     """Return the bodies from the body of a frame to the root."""
     chain = [end.joint - 1]
@@ -324,6 +370,8 @@ def constraint_values(system: System, bodies: Sequence[Body], x: Sequence[Scalar
     for loop in system.loops:
         if isinstance(loop, Loop):
             values += _values(system.sorted_model, bodies, loop, joints)
+        elif isinstance(loop, BallSurface):
+            values.append(SurfaceRow(system.tree, loop, joints).value)
         else:
             values.append(_polynomial(loop, dict(zip(system.tree.x_names, joints, strict=True))))
     return [values[k] for k in system.closure.rows.tolist()]
@@ -442,7 +490,7 @@ def _product(a: Swept, b: Swept) -> Scalar:
     return total([mul(u, w) for (u, _), (_, w) in zip(a.factors, b.factors, strict=True)])
 
 
-Row = tuple[LoopRows | PolynomialRow, int]
+Row = tuple[LoopRows | PolynomialRow | SurfaceRow, int]
 
 
 def _rows_of(system: System, bodies: Sequence[Body], joints: Sequence[Scalar]) -> list[Row]:
@@ -453,6 +501,8 @@ def _rows_of(system: System, bodies: Sequence[Body], joints: Sequence[Scalar]) -
         if isinstance(loop, Loop):
             chain = LoopRows.at(system.sorted_model, bodies, loop, joints)
             rows += [(chain, n) for n in range(loop.equations)]
+        elif isinstance(loop, BallSurface):
+            rows.append((SurfaceRow(system.tree, loop, joints), 0))
         else:
             rows.append((PolynomialRow(system.tree, loop, joints), 0))
     return [rows[k] for k in system.closure.rows.tolist()]
@@ -462,7 +512,7 @@ def _turning(
     system: System, rows: Sequence[Row], nu: Sequence[Scalar], rates: Sequence[Scalar]
 ) -> list[Scalar]:
     """Return J̇ᵀν along the shape, (m,), at rates of all joints."""
-    multipliers: dict[int, tuple[LoopRows | PolynomialRow, dict[int, Scalar]]] = {}
+    multipliers: dict[int, tuple[LoopRows | PolynomialRow | SurfaceRow, dict[int, Scalar]]] = {}
     for (loop, n), value in zip(rows, nu, strict=True):
         multipliers.setdefault(id(loop), (loop, {}))[1][n] = value
     turned: list[Scalar] = [0.0] * system.tree.m

@@ -11,13 +11,17 @@ name_mot: [hip, …]                     # joints with motors, which pinred does
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
+import numpy as np
+
 from ...common.argument_kinds import checks_arguments
+from ...common.arrays import Array
 from ...common.errors import InputError, LoadError
 from ...common.files import is_file
 from ...common.names import brief, plain_path, quoted
@@ -116,7 +120,48 @@ class JointPolynomial:
         return f"{label}{self.follower} is a polynomial of degree {degree} in {self.leader}"
 
 
-Constraint: TypeAlias = Loop | JointPolynomial
+@dataclass(frozen=True)
+class BallSurface:
+    """A constraint that keeps a bounded angle of a ball joint at its bound.
+
+    With the quaternion q = (v, w) of the ball and the axis n, φ is w² − cos²(limit/2) for the
+    "angle" of the whole rotation, (v·n)² + w² − cos²(limit/2) for the "swing" of the axis, and
+    v·n cos(limit/2) − w sin(limit/2) for the "twist" about it.  The gradient of each has the same
+    length on the whole surface.
+
+    Attributes:
+        ball: Name of the ball.
+        kind: "angle", "swing" or "twist".
+        limit: Value of the angle [rad].
+        axis: Unit vector, (3,).
+    """
+
+    ball: str
+    kind: str
+    limit: float
+    axis: tuple[float, float, float]
+
+    @property
+    def name(self) -> str:
+        """Name in messages."""
+        return f"{self.ball} at its {self.kind} stop"
+
+    @property
+    def equations(self) -> int:
+        """Number of scalar equations."""
+        return 1
+
+    @property
+    def form(self) -> tuple[Array, Array, float]:
+        """S (4, 4), l (4,) and c of φ = ½ qᵀSq + lᵀq − c."""
+        n, cosine = np.append(self.axis, 0.0), math.cos(0.5 * self.limit)
+        if self.kind == "twist":
+            return np.zeros((4, 4)), cosine * n - [0.0, 0.0, 0.0, math.sin(0.5 * self.limit)], 0.0
+        S = np.diag([0.0, 0.0, 0.0, 2.0]) + 2.0 * (self.kind == "swing") * np.outer(n, n)
+        return S, np.zeros(4), cosine**2
+
+
+Constraint: TypeAlias = Loop | JointPolynomial | BallSurface
 
 
 def parse_loops(loops: object) -> tuple[Constraint, ...]:
