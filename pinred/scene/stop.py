@@ -16,6 +16,7 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import InputError
 from ..common.names import brief, listed, nearest, quoted
+from ..system.loops.kinematics import on_surfaces
 from ..system.loops.loop import BallSurface
 from ..system.merge_hinges import LIMITS as LIMITS_OF_HINGES
 from ..system.stated_limits import POSITION, limits_of
@@ -191,10 +192,6 @@ class Bound:
         """Return the time derivative of the normal at shape rate xdot (m,), (m,)."""
         return np.zeros(len(xdot))
 
-    def place(self, x: Array) -> None:
-        """Move the joint to its stop, in a shape x (nx,) that is at it up to round-off."""
-        x[self.x] = self.position
-
 
 @dataclass(frozen=True)
 class BallBound(Bound):
@@ -272,15 +269,6 @@ class BallBound(Bound):
         """The attitudes at the stop."""
         return BallSurface(self.joint, self.kind, self.position, tuple(self._axis.tolist()))
 
-    def place(self, x: Array) -> None:
-        """Turn the ball to its stop, in a shape x (nx,) that is at it up to round-off."""
-        normal = self.normal(x, self.v + 3)[self.v :]
-        gap = self.sign * (float(self.values(x)) - self.position)
-        turn = -0.5 * gap * normal / (normal @ normal)
-        v, w = self._quaternion(x)
-        q = np.append(v + w * turn + np.cross(v, turn), w - v @ turn)
-        x[self.x : self.x + 4] = q / np.linalg.norm(q)
-
     def _quaternion(self, x: Array) -> tuple[Array, Array]:
         """Return the vectors (…, 3) and scalars (…) of the ball's quaternions."""
         return x[..., self.x : self.x + 3], x[..., self.x + 3]
@@ -289,6 +277,18 @@ class BallBound(Bound):
     def _axis(self) -> Array:
         assert isinstance(self.stop, BallStop)
         return np.array(self.stop.axis)
+
+
+def place(bounds: Sequence[Bound], x: Array) -> None:
+    """Move joints to their stops, in a shape x (nx,) that is at them up to round-off."""
+    surfaces = dict[int, list[BallSurface]]()
+    for bound in bounds:
+        if isinstance(bound, BallBound):
+            surfaces.setdefault(bound.x, []).append(bound.surface)
+        else:
+            x[bound.x] = bound.position
+    for k, of_ball in surfaces.items():
+        x[k : k + 4] = on_surfaces(of_ball, x[k : k + 4])
 
 
 def stop_of_table(entries: Mapping[str, Any]) -> Stop | BallStop:

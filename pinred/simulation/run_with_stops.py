@@ -30,7 +30,7 @@ from ..reduction.inertia_split import symmetric
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..scene.input_formats import list_forces
 from ..scene.scene import Engine, Scene
-from ..scene.stop import BallBound, Bound
+from ..scene.stop import BallBound, Bound, place
 from ..system.coordinates import Indices
 from ..system.loops.looped_system import loop_jacobian
 from ..system.state_fields import ShapeState, State
@@ -522,8 +522,7 @@ class _Run:
         x, xdot, pi = map(np.copy, state.values)
         among = {*rest, *touching}
         bounds = tuple(bound for bound in self.bounds if bound in among)
-        for bound in bounds:
-            bound.place(x)
+        place(bounds, x)
         normals = np.array([b.normal(x, len(pi)) for b in bounds]).reshape(-1, len(pi))
         inverse = self._inverse_metric(x, normals[:, self._rates])
         G = normals[:, self._rates] @ inverse

@@ -16,7 +16,7 @@ from pinred.common.arrays import Array
 from pinred.common.errors import IntegrationError
 from pinred.forces import Torque
 from pinred.judge.verdict import Verdict
-from pinred.scene.stop import BallBound
+from pinred.scene.stop import BallBound, place
 
 AXIS = (1.0, 2.0, 3.0)
 KINDS = ("angle", "swing", "twist")
@@ -57,7 +57,7 @@ def test_angles_of_balls_and_their_rates_agree_with_rotation_matrices(kind: str)
             np.testing.assert_allclose(bound.normal(q, 3) @ omega, rate, rtol=1e-5, atol=1e-6)
         moved = q.copy()
         near = BallBound("ball", 0, 0, 1.0, float(bound.values(q)) + 1e-9, 1.0, stop, kind)
-        near.place(moved)
+        place([near], moved)
         np.testing.assert_allclose(near.values(moved), near.position, rtol=0.0, atol=1e-14)
 
 

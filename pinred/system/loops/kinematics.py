@@ -25,7 +25,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.names import listed, nearest, quoted
 from ..joints import is_prismatic
-from .loop import BallSurface, Constraint, JointPolynomial, Loop
+from .loop import BallSurface, Constraint, JointPolynomial, Loop, quaternion_parts
 
 
 class JointLaw:
@@ -106,6 +106,13 @@ def rates_of_quaternion(q: Array) -> Array:
     """Return the map from the rates of a ball to those of its quaternion q (4,), (4, 3)."""
     a, b, c, d = q
     return 0.5 * np.array([[d, -c, b], [c, d, -a], [-b, a, d], [-a, -b, -c]])
+
+
+def on_surfaces(surfaces: Sequence[BallSurface], q: Array) -> Array:
+    """Return the unit quaternion on surfaces of one ball for a quaternion near them, (4,)."""
+    parts = [(radius, projector @ q) for projector, radius in quaternion_parts(surfaces)]
+    attitude = sum(radius / max(float(np.linalg.norm(p)), 1e-300) * p for radius, p in parts)
+    return np.asarray(attitude)
 
 
 def law_of(model: pin.Model, law: JointPolynomial | BallSurface) -> JointLaw | BallLaw:
