@@ -19,7 +19,7 @@ from ..common.names import brief, listed, nearest, quoted
 from ..system.loops.kinematics import on_surfaces
 from ..system.loops.loop import BallSurface
 from ..system.merge_hinges import LIMITS as LIMITS_OF_HINGES
-from ..system.stated_limits import POSITION, limits_of
+from ..system.stated_limits import angles_of_balls, limits_of
 from ..system.system import System
 from ..system.urdf_elements import UNLIMITED
 from .toml.schema import ByName, Either, Key, ListOf, Table, Text
@@ -535,24 +535,23 @@ def _stop_of(entry: Any, name: str) -> Stop:
         raise InputError(f"stops['{name}']: {error}") from None
 
 
-def _stops_of_file(value: str, system: System) -> dict[str, Stop]:
+def _stops_of_file(value: str, system: System) -> dict[str, Stop | BallStop]:
     """Return the position limits of the robot's file as stops without restitution."""
     if value != FILE:
         raise InputError(
             f"stops: expected 'file', or {{joint: Stop or (lower, upper)}}, got {brief(value)}"
         )
-    stated = {left.what: left.names for left in system.left_out}
-    balls = {joint.name for joint in system.tree.joints if joint.kind.is_ball}
-    bounded = [name for name in stated.get(POSITION, ()) if name in balls]
-    bounded += stated.get(LIMITS_OF_HINGES, ())
-    if bounded:
+    merged = next((left.names for left in system.left_out if left.what == LIMITS_OF_HINGES), ())
+    if merged:
         raise InputError(
-            f"stops: the file of '{system.name}' bounds {listed(list(map(quoted, bounded)), 4)} of "
-            "its balls, which cannot rest at stops, so 'file' would leave bounds out. State the "
-            "stops by joint, such as {joint: (lower, upper), ball: BallStop(angle=…, "
-            "restitution=…)}"
+            f"stops: the file of '{system.name}' bounds {listed(list(map(quoted, merged)), 4)}, "
+            "hinges that became balls, so 'file' would leave bounds out. Load the robot with "
+            "balls=False, or state the stops by joint, such as {ball: BallStop(angle=…)}"
         )
-    stops = {}
+    stops: dict[str, Stop | BallStop] = {
+        name: BallStop(angle=angle, restitution=0.0)
+        for name, angle in angles_of_balls(system).items()
+    }
     for limit in limits_of(system):
         if limit.kind == "position" and limit.lower < limit.upper:
             lower = limit.lower if abs(limit.lower) < UNLIMITED else -math.inf

@@ -202,8 +202,8 @@ def test_scene_file_takes_stops_of_balls(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("bounded", [False, True])
-def test_stops_of_file_refuse_bounded_balls(tmp_path: Path, bounded: bool) -> None:
-    """The range of a ball in an MJCF file is not left out in silence; without it, all stops act."""
+def test_stops_of_file_bound_the_angles_of_balls(tmp_path: Path, bounded: bool) -> None:
+    """The range of a ball in an MJCF file is a stop without restitution, as MuJoCo reads it."""
     limits = 'limited="true" range="0 0.5"' if bounded else ""
     text = f"""<mujoco><compiler angle="radian"/><default><geom contype="0" conaffinity="0"/>
     </default><worldbody>
@@ -214,9 +214,10 @@ def test_stops_of_file_refuse_bounded_balls(tmp_path: Path, bounded: bool) -> No
     <geom size="0.1" mass="0.5" pos="0 0 0.2"/></body></body></body></worldbody></mujoco>"""
     (tmp_path / "robot.xml").write_text(text, "utf-8")
     robot = pinred.load(tmp_path / "robot.xml", gravity=(0, 0, 0))
-    options: dict[str, Any] = {"xdot0": [1.0, 0.0, 0.0, 1.0], "momentum": 0, "duration": 1.0}
-    if bounded:
-        with pytest.raises(pinred.InputError, match="bounds 'neck' of its balls"):
-            pinred.simulate(robot, stops="file", **options)
-    else:
-        assert len(pinred.simulate(robot, stops="file", **options).impacts)
+    traj = pinred.simulate(
+        robot, xdot0=[1.0, 0.0, 0.0, 1.0], momentum=0, duration=1.0, stops="file"
+    )
+    assert set(traj.impacts.joint) == {"elbow", *(["neck"] if bounded else [])}
+    angles = 2.0 * np.arctan2(np.linalg.norm(traj.x[:, :3], axis=1), np.abs(traj.x[:, 3]))
+    assert (angles.max() < 0.5 + 1e-12) == bounded
+    assert angles.max() > 0.5 - 1e-6
