@@ -42,6 +42,7 @@ STOP_TABLE = Table(
     "a stop",
 )  # fmt: skip
 STOPS = Either((Text((FILE,)), ByName(Either((ListOf(NUMBER), STOP_TABLE)))))
+_UNDEFINED = 1e-6  # Cosine of half the swing below which a twist is not defined.
 _WITHIN = 1e-12  # Distance beyond a stop that counts as round-off of an initial shape [rad | m].
 
 
@@ -263,6 +264,11 @@ class BallBound(Bound):
         row = np.zeros(len(xdot))
         row[self.v : self.v + 3] = self.sign * change
         return row
+
+    def is_undefined(self, x: Array) -> bool:
+        """Return whether the angle is not defined at shape x (nx,): a twist at a swing of π."""
+        v, w = self._quaternion(x)
+        return self.kind == "twist" and math.hypot(float(v @ self._axis), float(w)) < _UNDEFINED
 
     @property
     def surface(self) -> BallSurface:

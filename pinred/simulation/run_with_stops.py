@@ -522,6 +522,7 @@ class _Run:
         x, xdot, pi = map(np.copy, state.values)
         among = {*rest, *touching}
         bounds = tuple(bound for bound in self.bounds if bound in among)
+        self._refuse_undefined(bounds, x, state.t)
         place(bounds, x)
         normals = np.array([b.normal(x, len(pi)) for b in bounds]).reshape(-1, len(pi))
         inverse = self._inverse_metric(x, normals[:, self._rates])
@@ -614,6 +615,16 @@ class _Run:
         if (locked >= -_CLINGING * energy).all():
             return np.ones(len(rest), dtype=bool), back
         return solve_complementarity(G, -G @ locked) > 0.0, back
+
+    def _refuse_undefined(self, bounds: Rest, x: Array, t: float) -> None:
+        """Reject a ball at its twist stop whose swing reaches π."""
+        for bound in bounds:
+            if isinstance(bound, BallBound) and bound.is_undefined(x):
+                raise IntegrationError(
+                    f"stops: the swing of ball joint '{bound.joint}' reaches π at t = {t:g} s, "
+                    "where its twist is not defined. Bound its swing as well, such as "
+                    "BallStop(twist=…, swing=3)"
+                )
 
     def _refuse_dependent(self, bounds: Rest, G: Array, t: float) -> None:
         """Reject stops that leave each other no motions of their own, by loops or at one ball.
