@@ -2,7 +2,7 @@
 
 The state is (q, v) of Pinocchio with the unwrapped position s of each rate. Between impacts,
 `pin.aba` and SciPy's DOP853 integrate it. At an impact, H Δv = Σ λ_i e_i with the mass matrix of
-CRBA. Joints at rest and followers have multipliers of the full equations of motion. Nothing of the
+RNEA. Joints at rest and followers have multipliers of the full equations of motion. Nothing of the
 reduction is used.
 
 A stop of a ball is an inequality tr(W R) ≥ c of its rotation matrix R. With body rates ω,
@@ -202,10 +202,11 @@ class HybridReference:
         return free
 
     def mass(self, q: Array) -> Array:
-        """Return the mass matrix."""
-        upper = np.triu(pin.crba(self.model, self.data, q))
-        H: Array = upper + np.triu(upper, 1).T
-        return H
+        """Return the mass matrix, by RNEA, because CRBA needs joints in depth-first order."""
+        rest = np.zeros(self.model.nv)
+        units = [rest, *np.eye(self.model.nv)]
+        weight, *columns = [pin.rnea(self.model, self.data, q, rest, a).copy() for a in units]
+        return np.array(columns) - weight
 
     def normals(self, rows: tuple[int, ...], q: Array) -> Array:
         """Return the directions away from stops, as rows."""
