@@ -101,9 +101,8 @@ class BallStop:
     """The stops of a ball joint: bounds of its angle, its swing and its twist.
 
     The attitude R of the child in the parent is a twist about `axis`, followed by a swing that
-    tilts this axis by the shortest way. A ball bounces at its stops. It cannot rest at one, because
-    this is no locked joint: a simulation ends with an error where the rebounds become slower than
-    `rest_rate`.
+    tilts this axis by the shortest way. A ball at rest at its stop moves on a surface of attitudes,
+    such as a cone, and leaves it when the reaction of the stop would pull; see Stop for rebounds.
 
     Attributes:
         angle: Largest angle of the whole rotation, below π [rad]; inf for none.
@@ -111,8 +110,8 @@ class BallStop:
             for none.
         twist: Smallest and largest angle about the axis, within ±π [rad]; infinite for none.
         axis: Axis of swing and twist, in both bodies, (3,), of any length.
-        restitution: Ratio of the rates after and before an impact, above 0 and up to 1.
-        rest_rate: Rate of a rebound below which the simulation ends [rad/s].
+        restitution: Ratio of the rates after and before an impact, from 0 to 1.
+        rest_rate: Largest rate of a rebound that may be replaced by rest [rad/s].
     """
 
     angle: float = math.inf

@@ -643,8 +643,9 @@ class _Run:
         if np.linalg.eigvalsh(scale[:, None] * G * scale)[0] > _DEPENDENT:
             return
         names = listed([f"{bound.joint} at its {bound.side} stop" for bound in bounds], 8)
+        cause = "loops" if self.system.loops else "balls"
         raise IntegrationError(
-            f"stops: the joints of '{self.system.name}' have no independent motions for {names} at "
+            f"stops: the {cause} of '{self.system.name}' leave {names} no independent motions at "
             f"t = {t:g} s, so the reactions of these stops are not determined. Omit one of them"
         )
 
