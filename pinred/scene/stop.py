@@ -17,7 +17,7 @@ from ..common.arrays import Array
 from ..common.errors import InputError
 from ..common.names import brief, listed, nearest, quoted
 from ..system.loops.kinematics import on_surfaces
-from ..system.loops.loop import BallSurface
+from ..system.loops.loop import BallSurface, Constraint, JointPolynomial
 from ..system.merge_hinges import LIMITS as LIMITS_OF_HINGES
 from ..system.stated_limits import angles_of_balls, limits_of
 from ..system.system import System
@@ -174,6 +174,16 @@ class Bound:
     stop: Stop | BallStop
 
     @property
+    def surface(self) -> Constraint | None:
+        """The constraint of a joint at rest; None for a hinge or slide, which is locked then."""
+        return None
+
+    @property
+    def rates(self) -> tuple[int, ...]:
+        """Indices of the independent rates that move the joint."""
+        return (self.v,)
+
+    @property
     def side(self) -> str:
         """Side of the joint that has the stop, "lower" or "upper"."""
         return "lower" if self.sign * self.ratio > 0.0 else "upper"
@@ -191,6 +201,44 @@ class Bound:
     def normal_rate(self, x: Array, xdot: Array) -> Array:  # noqa: ARG002
         """Return the time derivative of the normal at shape rate xdot (m,), (m,)."""
         return np.zeros(len(xdot))
+
+
+@dataclass(frozen=True)
+class SumBound(Bound):
+    """One side of the stops of a joint that follows several hinges and slides.
+
+    The bounded value is that of the joint itself; `x` and `v` are those of its first leader.
+
+    Attributes:
+        terms: Index of the coordinate, index of the rate, and ratio of each leader.
+        offset: Value of the joint with all leaders at zero [rad | m].
+        leader: Name of the first leader.
+    """
+
+    terms: tuple[tuple[int, int, float], ...] = ()
+    offset: float = 0.0
+    leader: str = ""
+
+    @property
+    def surface(self) -> JointPolynomial:
+        """The shapes with the joint at its stop: a polynomial of degree zero."""
+        return JointPolynomial(self.joint, self.leader, (self.position,))
+
+    @property
+    def rates(self) -> tuple[int, ...]:
+        """Indices of the independent rates that move the joint."""
+        return tuple(v for _, v, _ in self.terms)
+
+    def values(self, x: Array) -> Array:
+        """Return the bounded values, (…), at shapes x (…, nx) [rad | m]."""
+        return np.asarray(sum(ratio * x[..., k] for k, _, ratio in self.terms) + self.offset)
+
+    def normal(self, x: Array, m: int) -> Array:  # noqa: ARG002
+        """Return the rates of the gap per rate of the shape, (m,), at shape x (nx,)."""
+        row = np.zeros(m)
+        for _, v, ratio in self.terms:
+            row[v] = self.sign * ratio
+        return row
 
 
 @dataclass(frozen=True)
@@ -270,6 +318,11 @@ class BallBound(Bound):
         return self.kind == "twist" and math.hypot(float(v @ self._axis), float(w)) < _UNDEFINED
 
     @property
+    def rates(self) -> tuple[int, ...]:
+        """Indices of the rates of the ball."""
+        return tuple(range(self.v, self.v + 3))
+
+    @property
     def surface(self) -> BallSurface:
         """The attitudes at the stop."""
         return BallSurface(self.joint, self.kind, self.position, tuple(self._axis.tolist()))
@@ -290,8 +343,16 @@ def place(bounds: Sequence[Bound], x: Array) -> None:
     for bound in bounds:
         if isinstance(bound, BallBound):
             surfaces.setdefault(bound.x, []).append(bound.surface)
-        else:
+        elif not isinstance(bound, SumBound):
             x[bound.x] = bound.position
+    sums = [bound for bound in bounds if isinstance(bound, SumBound)]
+    if sums:  # the leaders that are not at stops of their own move
+        held = {bound.x for bound in bounds if bound.surface is None}
+        ratios = np.zeros((len(sums), len(x)))
+        for row, bound in zip(ratios, sums, strict=True):
+            for k, _, ratio in bound.terms:
+                row[k] = 0.0 if k in held else ratio
+        x += np.linalg.pinv(ratios) @ [bound.position - float(bound.values(x)) for bound in sums]
     for k, of_ball in surfaces.items():
         x[k : k + 4] = on_surfaces(of_ball, x[k : k + 4])
 
@@ -426,17 +487,21 @@ def bounds_of(system: System, stops: Mapping[str, Stop | BallStop]) -> tuple[Bou
     Returns:
         The bounds, in the order of the joints; the tighter one of two on the same side.
     Raises:
-        InputError: A follower has several leaders, or the stops of two joints contradict.
+        InputError: A continuous joint follows several, or the stops of two joints contradict.
     """
     tightest: dict[tuple[int, float], Bound] = {}
     joints = {joint.name: joint for joint in system.tree.joints}
-    of_balls = list[Bound]()
+    of_balls, of_sums = list[Bound](), list[Bound]()
     for name, stop in stops.items():
         if isinstance(stop, BallStop):
             of_balls += _bounds_of_ball(system, name, stop)
             continue
         joint = joints[name]
-        x, v, ratio, offset = _leader(system, name, joint.x.start, joint.v.start)
+        x, v = joint.x.start, joint.v.start
+        if system.coupled is not None and len(system.coupled.terms(v)) > 1:
+            of_sums += _bounds_of_sum(system, name, x, v, stop)
+            continue
+        x, v, ratio, offset = _leader(system, x, v)
         for sign, position in ((1.0, stop.lower), (-1.0, stop.upper)):
             if math.isinf(position):
                 continue
@@ -452,7 +517,31 @@ def bounds_of(system: System, stops: Mapping[str, Stop | BallStop]) -> tuple[Bou
                 f"stops: the stops of '{bound.joint}' and '{above.joint}' leave no room, because "
                 "one joint follows the other. Change one of them"
             )
-    return (*tightest.values(), *of_balls)
+    return (*tightest.values(), *of_sums, *of_balls)
+
+
+def _bounds_of_sum(system: System, name: str, x: int, v: int, stop: Stop) -> list[Bound]:
+    """Return the bounds of a joint that follows several others, at coordinate x and rate v."""
+    coupled = system.coupled
+    assert coupled is not None
+    places = [k for k, _ in coupled.value_terms(x)]
+    rates = coupled.terms(v)
+    terms = tuple((k, rate, ratio) for k, (rate, ratio) in zip(places, rates, strict=True))
+    model = system.sorted_model
+    wound = {str(n) for n, joint in zip(model.names, model.joints, strict=True) if joint.nq != 1}
+    leaders = [system.space.names[rate] for rate, _ in rates]
+    leader = next((each for each in leaders if each not in wound), "")
+    if name in wound or not leader:
+        raise InputError(
+            f"stops: joint '{name}' follows {len(rates)} joints, and {name if leader else 'each'} is "
+            "continuous. Put stops on these joints instead, or give the joint limits in the file"
+        )
+    own = (1.0, stop, terms, float(coupled.offset[x]), leader)
+    return [
+        SumBound(name, places[0], rates[0][0], sign, position, *own)
+        for sign, position in ((1.0, stop.lower), (-1.0, stop.upper))
+        if not math.isinf(position)
+    ]
 
 
 def _bounds_of_ball(system: System, name: str, stop: BallStop) -> list[Bound]:
@@ -509,18 +598,12 @@ def starts_beyond(bounds: tuple[Bound, ...], x: Array) -> dict[int, str]:
     return reasons
 
 
-def _leader(system: System, name: str, x: int, v: int) -> tuple[int, int, float, float]:
+def _leader(system: System, x: int, v: int) -> tuple[int, int, float, float]:
     """Return indices of coordinate and rate of the leader of a joint, its ratio and its offset."""
     coupled = system.coupled
     if coupled is None:
         return x, v, 1.0, 0.0
-    terms = coupled.terms(v)
-    if len(terms) != 1:
-        raise InputError(
-            f"stops: joint '{name}' follows {len(terms)} joints. Put stops on these joints instead"
-        )
-    ((lead, ratio),) = terms
-    ((lead_x, _),) = coupled.value_terms(x)
+    ((lead, ratio),), ((lead_x, _),) = coupled.terms(v), coupled.value_terms(x)
     return lead_x, lead, ratio, float(coupled.offset[x])
 
 

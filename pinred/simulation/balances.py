@@ -27,7 +27,7 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, read_only
 from ..reduction.inertia_split import com_derivative, symmetric
 from ..reduction.potential import shape_gravity
-from ..scene.stop import BallBound, Bound
+from ..scene.stop import Bound
 from ..system.coordinates import Indices
 from ..system.joints import axes_of
 from ..system.loops.looped_system import loop_jacobian, loop_jacobian_rate
@@ -300,8 +300,8 @@ def _driving_torques(
 ) -> Array:
     """Return `driving_torques` at times whose mass matrices fit into memory."""
     system, r, forces = plan.system, plan.system.r, plan.forces
-    balls = [isinstance(bound, BallBound) for bound in rest]
-    locked = [bound for bound, is_ball in zip(rest, balls, strict=True) if not is_ball]
+    on_surface = [bound.surface is not None for bound in rest]
+    locked = [bound for bound, is_on in zip(rest, on_surface, strict=True) if not is_on]
     driven = r + np.array([*plan.acting.driven, *(bound.v for bound in locked)], dtype=np.intp)
     free = np.setdiff1d(np.arange(system.n), driven)
     H, force = _inertial_terms(system, samples)
@@ -311,7 +311,7 @@ def _driving_torques(
         force = np.concatenate([acting.wrench, acting.torque], axis=1) + force
         a[:, driven[: len(forces.joints)]] = forces.prescribed(t, numbers).xddot
     free_force = force[:, free] - np.einsum("tij,tj->ti", H[:, free[:, None], driven], a[:, driven])
-    surfaces = [bound for bound, is_ball in zip(rest, balls, strict=True) if is_ball]
+    surfaces = [bound for bound, is_on in zip(rest, on_surface, strict=True) if is_on]
     reactions = np.empty((len(t), len(surfaces)))
     if system.closure is not None or surfaces:
         for k, row in enumerate(loads):
@@ -331,8 +331,8 @@ def _driving_torques(
         return torques
     count = len(plan.acting.driven)
     of_stops = np.empty((len(t), len(rest)))
-    of_stops[:, np.logical_not(balls)] = torques[:, count:] * [bound.sign for bound in locked]
-    of_stops[:, balls] = reactions
+    of_stops[:, np.logical_not(on_surface)] = torques[:, count:] * [bound.sign for bound in locked]
+    of_stops[:, on_surface] = reactions
     return np.hstack([torques[:, :count], of_stops])
 
 
@@ -360,7 +360,7 @@ def _inertial_terms(system: System, samples: Sample) -> tuple[Array, Array]:
 def _constraints(
     system: System, x: Array, xdot: Array, surfaces: Sequence[Bound]
 ) -> tuple[Array, Array]:
-    """Return the rows J (c, n) of closed loops and of balls at rest at their stops, and J̇ v, (c,).
+    """Return the rows J (c, n) of closed loops and of stops at rest that lock no joint, and J̇ v, (c,).
 
     Base and free joints obey H a = F + Jᵀλ and J a + J̇ v = 0.
     """

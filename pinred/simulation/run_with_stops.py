@@ -227,8 +227,9 @@ class _StopSearch(RootSearch):
             cling: Pull of a stop that counts as round-off.
         """
         bounds, at = mode.moving, flow.position_entries
-        self._polynomial = [k for k, bound in enumerate(bounds) if bound.v in at]
-        self._driven = [k for k, bound in enumerate(bounds) if bound.v not in at]
+        own = [bound.surface is None and bound.v in at for bound in bounds]
+        self._polynomial = [k for k, is_own in enumerate(own) if is_own]
+        self._driven = [k for k, is_own in enumerate(own) if not is_own]
         count = len(self._driven) + len(mode.rest)
         super().__init__(np.ones(count), range(count))
         self._plan, self._mode, self._flow, self._numbers = plan, mode, flow, numbers
@@ -287,8 +288,8 @@ class _StopSearch(RootSearch):
 
 def margin_of(bound: Bound) -> float:
     """Return the gap that counts as contact [rad | m]."""
-    # The angles of a ball are functions of a quaternion of length one.
-    size = max(4.0, abs(bound.position)) if isinstance(bound, BallBound) else abs(bound.position)
+    # Other values than positions are sums, such as the angles of a quaternion of length one.
+    size = abs(bound.position) if bound.surface is None else max(4.0, abs(bound.position))
     return max(_ROUND_OFF * size, _LEAST_GAP)
 
 
@@ -326,11 +327,11 @@ def locked_scene(
     """
     start, names = scene.start, scene.system.shape_names
     at = [bound.position for bound in rest] if places is None else places
-    surfaces = tuple(bound.surface for bound in rest if isinstance(bound, BallBound))
+    surfaces = tuple(bound.surface for bound in rest if bound.surface is not None)
     plans = {
         names[bound.v]: place
         for bound, place in zip(rest, at, strict=True)
-        if not isinstance(bound, BallBound)
+        if bound.surface is None
     }
     resting = frozenset(bound.v for bound in rest)
     forces = [
@@ -415,10 +416,10 @@ class _Run:
         mode = self._modes.get(rest)
         if mode is None:
             began = time.perf_counter()
-            locked = {bound.v for bound in rest if not isinstance(bound, BallBound)}
+            locked = {bound.v for bound in rest if bound.surface is None}
             plan = self._limited(locked_scene(self._free, rest, x, xdot))
             flow = self.first.in_mode(plan)
-            moving = tuple(b for b in self.bounds if b not in rest and b.v not in locked)
+            moving = tuple(b for b in self.bounds if not (b in rest or locked.issuperset(b.rates)))
             integrate = self._engine.integrator(flow, plan, self.progress)
             mode = self._modes[rest] = Mode(rest, moving, flow, integrate)
             self.building += time.perf_counter() - began
@@ -509,7 +510,7 @@ class _Run:
 
     def _refuse_driven(self, touching: Sequence[Bound], t: float) -> None:
         for bound in touching:
-            if bound.v in self.plan.acting.driven:
+            if {*bound.rates} & {*self.plan.acting.driven}:
                 raise InputError(
                     f"prescribed: the motion of joint '{bound.joint}' runs into its {bound.side} "
                     f"stop at t = {t:g} s. Change its motion, or omit its stop"
@@ -537,10 +538,10 @@ class _Run:
         pi += impulse @ normals
         rates = xdot.copy()
         rates[self._rates] += inverse @ impulse
-        if self.system.loops or any(isinstance(bound, BallBound) for bound in rest):
+        if self.system.loops or any(bound.surface is not None for bound in rest):
             pi = self._momenta_in_loops(state, x, rates)
         rests = tuple(b for b, stays in zip(bounds, resting, strict=True) if stays)
-        rates[[b.v for b in rests if not isinstance(b, BallBound)]] = 0.0
+        rates[[b.v for b in rests if b.surface is None]] = 0.0
         new = self.mode(rests, x, rates)
         flow = new.start.resumed(state.t, x, pi, state.flow, state.y)
         impact = _impact(state.t, contact, impulse, after)
@@ -627,7 +628,7 @@ class _Run:
                 )
 
     def _refuse_dependent(self, bounds: Rest, G: Array, t: float) -> None:
-        """Reject stops that leave each other no motions of their own, by loops or at one ball.
+        """Reject stops that leave each other no motions of their own, by loops, at one ball or by followers.
 
         Args:
             bounds: The stops.
@@ -636,14 +637,14 @@ class _Run:
         Raises:
             IntegrationError: The motions of these joints depend on each other.
         """
-        balls = [bound.v for bound in bounds if isinstance(bound, BallBound)]
-        if not bounds or not (self.system.loops or len(balls) > len({*balls})):
+        may_depend = len(bounds) > 1 and any(bound.surface is not None for bound in bounds)
+        if not bounds or not (self.system.loops or may_depend):
             return
         scale = 1.0 / np.sqrt(np.maximum(np.diag(G), 1e-300))
         if np.linalg.eigvalsh(scale[:, None] * G * scale)[0] > _DEPENDENT:
             return
         names = listed([f"{bound.joint} at its {bound.side} stop" for bound in bounds], 8)
-        cause = "loops" if self.system.loops else "balls"
+        cause = "loops" if self.system.loops else "balls and followers"
         raise IntegrationError(
             f"stops: the {cause} of '{self.system.name}' leave {names} no independent motions at "
             f"t = {t:g} s, so the reactions of these stops are not determined. Omit one of them"

@@ -37,14 +37,14 @@ from .coordinates import (
 from .coupling import Coupled, coupled, following
 from .force_interface import Force
 from .joints import axes_of
-from .loops.loop import BallSurface, Constraint
+from .loops.loop import Constraint
 from .loops.loop_assembly import close_loops
 from .loops.looped_system import Closure
 from .rebuild import depth_first
 from .robot_file_contents import Actuator, Contents, Coupling, Keyframe, LeftOut, Origin
 
 T = TypeVar("T")
-_MOST_SURFACES = 128  # Largest number of copies with balls on surfaces that a system keeps.
+_MOST_SURFACES = 128  # Largest number of copies with joints on surfaces that a system keeps.
 
 
 @checks_arguments
@@ -276,11 +276,11 @@ class System:
 
         return self.workspace("open tree", make)
 
-    def on_surfaces(self, surfaces: tuple[BallSurface, ...]) -> System:
-        """Return the system as it was loaded, with attitudes of balls on surfaces; see BallSurface.
+    def on_surfaces(self, surfaces: tuple[Constraint, ...]) -> System:
+        """Return the system as it was loaded, with further constraints of its shape.
 
         Args:
-            surfaces: Independent surfaces.
+            surfaces: Independent constraints.
         """
         loaded = nominal(self)
 
@@ -291,7 +291,7 @@ class System:
             vars(held)["closure"] = close_loops(held)
             return held
 
-        return recent(loaded, surfaces, make, _MOST_SURFACES, BallSurface)
+        return recent(loaded, surfaces, make, _MOST_SURFACES, "surfaces")
 
     @property
     def root_name(self) -> str:

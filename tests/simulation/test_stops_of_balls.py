@@ -328,7 +328,9 @@ def test_three_stops_of_one_ball_at_once_are_refused() -> None:
     """The angle is a function of swing and twist, so one of three reactions is not determined."""
     swing, twist = 0.4, 0.5
     angle = 2.0 * np.arccos(np.cos(0.5 * swing) * np.cos(0.5 * twist))
-    attitude = rotation(np.array([1.0, 0.0, 0.0]), swing) @ rotation(np.array([0.0, 0.0, 1.0]), twist)
+    attitude = rotation(np.array([1.0, 0.0, 0.0]), swing) @ rotation(
+        np.array([0.0, 0.0, 1.0]), twist
+    )
     with pytest.raises(IntegrationError, match="joint at its angle stop, joint at its swing stop"):
         pinred.simulate(
             spheres(), x0={"joint": pin.log3(attitude)}, duration=0.1,

@@ -282,9 +282,7 @@ def _surface_value(surface: BallSurface, q: Sequence[Scalar]) -> Scalar:
     return sub(dot(half, list(q)), c)
 
 
-def _slope(
-    surface: BallSurface, q: Sequence[Scalar], *, constant: bool = True
-) -> list[Scalar]:
+def _slope(surface: BallSurface, q: Sequence[Scalar], *, constant: bool = True) -> list[Scalar]:
     """Return S q + l, or S q if not `constant`."""
     S, l, _ = surface.form
     ends = l.tolist() if constant else [0.0] * 4
