@@ -185,12 +185,12 @@ def _pull(traj: Trajectory, full: StoppedFullState) -> float:
         times = times[np.unique(np.linspace(0, len(times) - 1, _MOST_TIMES).astype(int))]
     y, numbers = full_states(traj, full, times), traj.motion.numbers(times)
     pull = largest = 0.0
-    for locked, rows in traj.motion.locked(times):
-        if not locked:
+    for rest, rows in traj.motion.resting(times):
+        if not rest:
             continue
+        resting = tuple(map(traj.scene.bounds.index, rest))
         for k in rows.tolist():
             full.set_parameters(numbers[k])
-            resting = full.resting(locked, y[k])
             reactions = full.reactions(float(times[k]), y[k], resting)
             pull = max(pull, float(-reactions.min()))
             largest = max(largest, float(np.abs(reactions).max()))

@@ -15,7 +15,7 @@ from ..forces.force_model import ForceModel
 from ..reduction.tree.free_bodies import NOTHING, Freed
 from ..reduction.tree.identical_branches import Lanes
 from ..reduction.tree.loop_constraints import GAUGE_RATE, needs_second_solution
-from ..system.loops.kinematics import loop_ends
+from ..system.loops.kinematics import law_of, loop_ends
 from ..system.loops.loop import Loop
 from ..system.system import System, nominal
 from .kernel import Kernel
@@ -60,9 +60,7 @@ def model_bytes(system: System, freed: Freed = NOTHING) -> bytes:
         for loop in system.loops:
             if not isinstance(loop, Loop):
                 digest.update(repr(loop).encode())
-                digest.update(
-                    f"{[model.getJointId(n) for n in (loop.follower, loop.leader)]}".encode()
-                )
+                digest.update(f"{law_of(model, loop).joints}".encode())
                 continue
             digest.update(loop.kind.encode())
             for end in loop_ends(model, loop):

@@ -31,7 +31,7 @@ from ..reduction.tree.articulated_sweep import Swept, sweep
 from ..reduction.tree.body_frames import bodies_of, with_rotors
 from ..reduction.tree.free_bodies import total_mass, with_free
 from ..reduction.tree.identical_branches import Lanes
-from ..reduction.tree.loop_constraints import LoopTerms, solve_with_loops
+from ..reduction.tree.loop_constraints import LoopTerms, RestingBall, solve_with_loops
 from ..reduction.tree.momenta import centre_of_mass
 from ..reduction.tree.scalars import (
     Scalar,
@@ -48,6 +48,7 @@ from ..reduction.tree.scalars import (
     sub,
     total,
 )
+from ..system.loops.loop import BallSurface
 from ..system.system import System
 from .base_graph import BaseGraph
 from .kernel import separate_fields
@@ -118,6 +119,10 @@ class ReducedGraph:
         motion = self._prescribed()
         for k, position in zip(self.layout.prescribed_x, motion, strict=False):
             self.x[k] = position
+        self._integrated_x, self._resting = list(self.x), self._balls_at_rest()
+        for k, v in self.layout.balls:
+            if v in self._resting:
+                self.x[k : k + 4] = self._resting[v].attitude
         self._mu = mu = self.base.body_momentum()
         armature = float(system.model.armature[0])  # nonzero only for single-axis roots
         # No term depends on the angle of a cyclic joint, so set it to zero.
@@ -171,7 +176,7 @@ class ReducedGraph:
             *(self._lifted_momenta if lifted else ()),
             [self.x[k] for k in layout.cyclic_x],
             [self.pi[k] for k in (() if lifted else layout.ball_pi)],
-            [self.x[k] for k in (() if lifted else layout.ball_x)],
+            [self._integrated_x[k] for k in (() if lifted else layout.ball_x)],
             self.base.b,
             [self._t] * layout.clock,
         )
@@ -198,6 +203,15 @@ class ReducedGraph:
             ]
             momenta.append(p)
         return momenta
+
+    def _balls_at_rest(self) -> dict[int, RestingBall]:
+        """Return the balls that rest at their stops, by the indices of their first rates."""
+        names = {loop.ball for loop in self.system.loops if isinstance(loop, BallSurface)}
+        return {
+            joint.v.start: RestingBall.of(self.system, joint, self.x[joint.x])
+            for joint in self.system.space.balls
+            if joint.name in names
+        }
 
     def _align_rotors(self, x: list[Scalar]) -> list[Scalar]:
         """Set the attitudes R of the rotors in x to 1; return the momenta with ℓ = R π."""
@@ -238,6 +252,8 @@ class ReducedGraph:
         """The shape, (nx,), with quaternions of length one, which states inside a step lack."""
         x = list(self.x)
         for joint in self.system.space.balls:
+            if joint.v.start in self._resting:
+                continue
             q = self.x[joint.x]
             scale = 1.0 / ca.sqrt(total([mul(c, c) for c in q]))
             x[joint.x] = [mul(scale, c) for c in q]
@@ -257,6 +273,9 @@ class ReducedGraph:
             else quaternion_rate(self.x[x : x + 4], self.xdot[v : v + 3])
             for x, v in layout.balls
         ]
+        for k, (_, v) in enumerate(layout.balls):
+            if v in self._resting:
+                attitudes[k] = self._resting[v].rate(attitudes[k])
         return as_column(
             [self.xdot[k] for k in layout.active],
             *(attitudes if lifted else ()),

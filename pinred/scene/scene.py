@@ -468,7 +468,7 @@ class Scene(SceneFields):
         if self.force_model is not None:
             driven = {*self.force_model.joints}
         for bound in bounds:
-            if bound.v in driven and not from_file:
+            if driven & {*bound.rates} and not from_file:
                 raise InputError(
                     f"stops: the motion of joint '{bound.joint}' is prescribed, so a stop cannot "
                     "change it. Omit its stop, or do not prescribe it"

@@ -16,8 +16,10 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import InputError
 from ..common.names import brief, listed, nearest, quoted
+from ..system.loops.kinematics import on_surfaces
+from ..system.loops.loop import BallSurface, Constraint, JointPolynomial
 from ..system.merge_hinges import LIMITS as LIMITS_OF_HINGES
-from ..system.stated_limits import POSITION, limits_of
+from ..system.stated_limits import angles_of_balls, limits_of
 from ..system.system import System
 from ..system.urdf_elements import UNLIMITED
 from .toml.schema import ByName, Either, Key, ListOf, Table, Text
@@ -40,6 +42,7 @@ STOP_TABLE = Table(
     "a stop",
 )  # fmt: skip
 STOPS = Either((Text((FILE,)), ByName(Either((ListOf(NUMBER), STOP_TABLE)))))
+_UNDEFINED = 1e-6  # Cosine of half the swing below which a twist is not defined.
 _WITHIN = 1e-12  # Distance beyond a stop that counts as round-off of an initial shape [rad | m].
 
 
@@ -98,9 +101,8 @@ class BallStop:
     """The stops of a ball joint: bounds of its angle, its swing and its twist.
 
     The attitude R of the child in the parent is a twist about `axis`, followed by a swing that
-    tilts this axis by the shortest way. A ball bounces at its stops. It cannot rest at one, because
-    this is no locked joint: a simulation ends with an error where the rebounds become slower than
-    `rest_rate`.
+    tilts this axis by the shortest way. A ball at rest at its stop moves on a surface of attitudes,
+    such as a cone, and leaves it when the reaction of the stop would pull; see Stop for rebounds.
 
     Attributes:
         angle: Largest angle of the whole rotation, below π [rad]; inf for none.
@@ -108,8 +110,8 @@ class BallStop:
             for none.
         twist: Smallest and largest angle about the axis, within ±π [rad]; infinite for none.
         axis: Axis of swing and twist, in both bodies, (3,), of any length.
-        restitution: Ratio of the rates after and before an impact, above 0 and up to 1.
-        rest_rate: Rate of a rebound below which the simulation ends [rad/s].
+        restitution: Ratio of the rates after and before an impact, from 0 to 1.
+        rest_rate: Largest rate of a rebound that may be replaced by rest [rad/s].
     """
 
     angle: float = math.inf
@@ -137,10 +139,10 @@ class BallStop:
             )
         if math.isinf(self.angle) and math.isinf(self.swing) and all(map(math.isinf, twist)):
             raise InputError("expected a finite angle, swing or twist, got none. Omit the joint")
-        if not 0.0 < self.restitution <= 1.0:
+        if not 0.0 <= self.restitution <= 1.0:
             raise InputError(
-                f"restitution: expected a number above 0, up to 1, got {self.restitution:g}. Balls "
-                "do not rest at their stops; load the ball as three hinges for that"
+                f"restitution: expected a number from 0 (rest) to 1 (no loss), got "
+                f"{self.restitution:g}"
             )
         if not (0.0 < self.rest_rate < math.inf):
             raise InputError(f"rest_rate: expected a positive rate, got {self.rest_rate:g}")
@@ -172,6 +174,16 @@ class Bound:
     stop: Stop | BallStop
 
     @property
+    def surface(self) -> Constraint | None:
+        """The constraint of a joint at rest; None for a hinge or slide, which is locked then."""
+        return None
+
+    @property
+    def rates(self) -> tuple[int, ...]:
+        """Indices of the independent rates that move the joint."""
+        return (self.v,)
+
+    @property
     def side(self) -> str:
         """Side of the joint that has the stop, "lower" or "upper"."""
         return "lower" if self.sign * self.ratio > 0.0 else "upper"
@@ -186,9 +198,47 @@ class Bound:
         row[self.v] = self.sign
         return row
 
-    def place(self, x: Array) -> None:
-        """Move the joint to its stop, in a shape x (nx,) that is at it up to round-off."""
-        x[self.x] = self.position
+    def normal_rate(self, x: Array, xdot: Array) -> Array:  # noqa: ARG002
+        """Return the time derivative of the normal at shape rate xdot (m,), (m,)."""
+        return np.zeros(len(xdot))
+
+
+@dataclass(frozen=True)
+class SumBound(Bound):
+    """One side of the stops of a joint that follows several hinges and slides.
+
+    The bounded value is that of the joint itself; `x` and `v` are those of its first leader.
+
+    Attributes:
+        terms: Index of the coordinate, index of the rate, and ratio of each leader.
+        offset: Value of the joint with all leaders at zero [rad | m].
+        leader: Name of the first leader.
+    """
+
+    terms: tuple[tuple[int, int, float], ...] = ()
+    offset: float = 0.0
+    leader: str = ""
+
+    @property
+    def surface(self) -> JointPolynomial:
+        """The shapes with the joint at its stop: a polynomial of degree zero."""
+        return JointPolynomial(self.joint, self.leader, (self.position,))
+
+    @property
+    def rates(self) -> tuple[int, ...]:
+        """Indices of the independent rates that move the joint."""
+        return tuple(v for _, v, _ in self.terms)
+
+    def values(self, x: Array) -> Array:
+        """Return the bounded values, (…), at shapes x (…, nx) [rad | m]."""
+        return np.asarray(sum(ratio * x[..., k] for k, _, ratio in self.terms) + self.offset)
+
+    def normal(self, x: Array, m: int) -> Array:  # noqa: ARG002
+        """Return the rates of the gap per rate of the shape, (m,), at shape x (nx,)."""
+        row = np.zeros(m)
+        for _, v, ratio in self.terms:
+            row[v] = self.sign * ratio
+        return row
 
 
 @dataclass(frozen=True)
@@ -236,14 +286,46 @@ class BallBound(Bound):
         row[self.v : self.v + 3] = self.sign * rates
         return row
 
-    def place(self, x: Array) -> None:
-        """Turn the ball to its stop, in a shape x (nx,) that is at it up to round-off."""
-        normal = self.normal(x, self.v + 3)[self.v :]
-        gap = self.sign * (float(self.values(x)) - self.position)
-        turn = -0.5 * gap * normal / (normal @ normal)
+    def normal_rate(self, x: Array, xdot: Array) -> Array:
+        """Return the time derivative of the normal at shape rate xdot (m,), (m,)."""
         v, w = self._quaternion(x)
-        q = np.append(v + w * turn + np.cross(v, turn), w - v @ turn)
-        x[self.x : self.x + 4] = q / np.linalg.norm(q)
+        n, rates = self._axis, xdot[self.v : self.v + 3]
+        dv, dw = 0.5 * (w * rates + np.cross(v, rates)), -0.5 * float(v @ rates)
+        along, across = float(v @ n), np.cross(v, n)
+        dalong, dacross = float(dv @ n), np.cross(dv, n)
+        if self.kind == "angle":
+            tilted, change = math.copysign(1.0, w) * v, math.copysign(1.0, w) * dv
+        elif self.kind == "swing":
+            tilted = w * np.cross(n, across) + along * across
+            change = dw * np.cross(n, across) + w * np.cross(n, dacross)
+            change += dalong * across + along * dacross
+        else:
+            size = along**2 + float(w) ** 2
+            tilted = (along * (v - along * n) - w * across) / size
+            change = dalong * (v - 2.0 * along * n) + along * dv - dw * across - w * dacross
+            change = (change - 2.0 * (along * dalong + float(w) * dw) * tilted) / size
+        if self.kind != "twist":  # a unit vector
+            length = max(float(np.linalg.norm(tilted)), 1e-300)
+            unit = tilted / length
+            change = (change - (unit @ change) * unit) / length
+        row = np.zeros(len(xdot))
+        row[self.v : self.v + 3] = self.sign * change
+        return row
+
+    def is_undefined(self, x: Array) -> bool:
+        """Return whether the angle is not defined at shape x (nx,): a twist at a swing of π."""
+        v, w = self._quaternion(x)
+        return self.kind == "twist" and math.hypot(float(v @ self._axis), float(w)) < _UNDEFINED
+
+    @property
+    def rates(self) -> tuple[int, ...]:
+        """Indices of the rates of the ball."""
+        return tuple(range(self.v, self.v + 3))
+
+    @property
+    def surface(self) -> BallSurface:
+        """The attitudes at the stop."""
+        return BallSurface(self.joint, self.kind, self.position, tuple(self._axis.tolist()))
 
     def _quaternion(self, x: Array) -> tuple[Array, Array]:
         """Return the vectors (…, 3) and scalars (…) of the ball's quaternions."""
@@ -253,6 +335,26 @@ class BallBound(Bound):
     def _axis(self) -> Array:
         assert isinstance(self.stop, BallStop)
         return np.array(self.stop.axis)
+
+
+def place(bounds: Sequence[Bound], x: Array) -> None:
+    """Move joints to their stops, in a shape x (nx,) that is at them up to round-off."""
+    surfaces = dict[int, list[BallSurface]]()
+    for bound in bounds:
+        if isinstance(bound, BallBound):
+            surfaces.setdefault(bound.x, []).append(bound.surface)
+        elif not isinstance(bound, SumBound):
+            x[bound.x] = bound.position
+    sums = [bound for bound in bounds if isinstance(bound, SumBound)]
+    if sums:  # the leaders that are not at stops of their own move
+        held = {bound.x for bound in bounds if bound.surface is None}
+        ratios = np.zeros((len(sums), len(x)))
+        for row, bound in zip(ratios, sums, strict=True):
+            for k, _, ratio in bound.terms:
+                row[k] = 0.0 if k in held else ratio
+        x += np.linalg.pinv(ratios) @ [bound.position - float(bound.values(x)) for bound in sums]
+    for k, of_ball in surfaces.items():
+        x[k : k + 4] = on_surfaces(of_ball, x[k : k + 4])
 
 
 def stop_of_table(entries: Mapping[str, Any]) -> Stop | BallStop:
@@ -385,17 +487,21 @@ def bounds_of(system: System, stops: Mapping[str, Stop | BallStop]) -> tuple[Bou
     Returns:
         The bounds, in the order of the joints; the tighter one of two on the same side.
     Raises:
-        InputError: A follower has several leaders, or the stops of two joints contradict.
+        InputError: A continuous joint follows several, or the stops of two joints contradict.
     """
     tightest: dict[tuple[int, float], Bound] = {}
     joints = {joint.name: joint for joint in system.tree.joints}
-    of_balls = list[Bound]()
+    of_balls, of_sums = list[Bound](), list[Bound]()
     for name, stop in stops.items():
         if isinstance(stop, BallStop):
             of_balls += _bounds_of_ball(system, name, stop)
             continue
         joint = joints[name]
-        x, v, ratio, offset = _leader(system, name, joint.x.start, joint.v.start)
+        x, v = joint.x.start, joint.v.start
+        if system.coupled is not None and len(system.coupled.terms(v)) > 1:
+            of_sums += _bounds_of_sum(system, name, x, v, stop)
+            continue
+        x, v, ratio, offset = _leader(system, x, v)
         for sign, position in ((1.0, stop.lower), (-1.0, stop.upper)):
             if math.isinf(position):
                 continue
@@ -411,7 +517,31 @@ def bounds_of(system: System, stops: Mapping[str, Stop | BallStop]) -> tuple[Bou
                 f"stops: the stops of '{bound.joint}' and '{above.joint}' leave no room, because "
                 "one joint follows the other. Change one of them"
             )
-    return (*tightest.values(), *of_balls)
+    return (*tightest.values(), *of_sums, *of_balls)
+
+
+def _bounds_of_sum(system: System, name: str, x: int, v: int, stop: Stop) -> list[Bound]:
+    """Return the bounds of a joint that follows several others, at coordinate x and rate v."""
+    coupled = system.coupled
+    assert coupled is not None
+    places = [k for k, _ in coupled.value_terms(x)]
+    rates = coupled.terms(v)
+    terms = tuple((k, rate, ratio) for k, (rate, ratio) in zip(places, rates, strict=True))
+    model = system.sorted_model
+    wound = {str(n) for n, joint in zip(model.names, model.joints, strict=True) if joint.nq != 1}
+    leaders = [system.space.names[rate] for rate, _ in rates]
+    leader = next((each for each in leaders if each not in wound), "")
+    if name in wound or not leader:
+        raise InputError(
+            f"stops: joint '{name}' follows {len(rates)} joints, and {name if leader else 'each'} is "
+            "continuous. Put stops on these joints instead, or give the joint limits in the file"
+        )
+    own = (1.0, stop, terms, float(coupled.offset[x]), leader)
+    return [
+        SumBound(name, places[0], rates[0][0], sign, position, *own)
+        for sign, position in ((1.0, stop.lower), (-1.0, stop.upper))
+        if not math.isinf(position)
+    ]
 
 
 def _bounds_of_ball(system: System, name: str, stop: BallStop) -> list[Bound]:
@@ -468,18 +598,12 @@ def starts_beyond(bounds: tuple[Bound, ...], x: Array) -> dict[int, str]:
     return reasons
 
 
-def _leader(system: System, name: str, x: int, v: int) -> tuple[int, int, float, float]:
+def _leader(system: System, x: int, v: int) -> tuple[int, int, float, float]:
     """Return indices of coordinate and rate of the leader of a joint, its ratio and its offset."""
     coupled = system.coupled
     if coupled is None:
         return x, v, 1.0, 0.0
-    terms = coupled.terms(v)
-    if len(terms) != 1:
-        raise InputError(
-            f"stops: joint '{name}' follows {len(terms)} joints. Put stops on these joints instead"
-        )
-    ((lead, ratio),) = terms
-    ((lead_x, _),) = coupled.value_terms(x)
+    ((lead, ratio),), ((lead_x, _),) = coupled.terms(v), coupled.value_terms(x)
     return lead_x, lead, ratio, float(coupled.offset[x])
 
 
@@ -499,24 +623,23 @@ def _stop_of(entry: Any, name: str) -> Stop:
         raise InputError(f"stops['{name}']: {error}") from None
 
 
-def _stops_of_file(value: str, system: System) -> dict[str, Stop]:
+def _stops_of_file(value: str, system: System) -> dict[str, Stop | BallStop]:
     """Return the position limits of the robot's file as stops without restitution."""
     if value != FILE:
         raise InputError(
             f"stops: expected 'file', or {{joint: Stop or (lower, upper)}}, got {brief(value)}"
         )
-    stated = {left.what: left.names for left in system.left_out}
-    balls = {joint.name for joint in system.tree.joints if joint.kind.is_ball}
-    bounded = [name for name in stated.get(POSITION, ()) if name in balls]
-    bounded += stated.get(LIMITS_OF_HINGES, ())
-    if bounded:
+    merged = next((left.names for left in system.left_out if left.what == LIMITS_OF_HINGES), ())
+    if merged:
         raise InputError(
-            f"stops: the file of '{system.name}' bounds {listed(list(map(quoted, bounded)), 4)} of "
-            "its balls, which cannot rest at stops, so 'file' would leave bounds out. State the "
-            "stops by joint, such as {joint: (lower, upper), ball: BallStop(angle=…, "
-            "restitution=…)}"
+            f"stops: the file of '{system.name}' bounds {listed(list(map(quoted, merged)), 4)}, "
+            "hinges that became balls, so 'file' would leave bounds out. Load the robot with "
+            "balls=False, or state the stops by joint, such as {ball: BallStop(angle=…)}"
         )
-    stops = {}
+    stops: dict[str, Stop | BallStop] = {
+        name: BallStop(angle=angle, restitution=0.0)
+        for name, angle in angles_of_balls(system).items()
+    }
     for limit in limits_of(system):
         if limit.kind == "position" and limit.lower < limit.upper:
             lower = limit.lower if abs(limit.lower) < UNLIMITED else -math.inf

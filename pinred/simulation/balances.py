@@ -27,7 +27,7 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, read_only
 from ..reduction.inertia_split import com_derivative, symmetric
 from ..reduction.potential import shape_gravity
-from ..system.coordinates import Indices
+from ..scene.stop import Bound
 from ..system.joints import axes_of
 from ..system.loops.looped_system import loop_jacobian, loop_jacobian_rate
 from ..system.state_fields import State, with_base
@@ -257,46 +257,51 @@ def torques_of_motion(plan: Plan, motion: Motion, t: Array) -> tuple[Array, Arra
     samples, numbers = motion.samples(t)
     driven = len(plan.acting.driven)
     driving, reactions = np.zeros((len(t), driven)), np.zeros((len(t), plan.system.m))
-    for locked, rows in motion.locked(t):
+    for rest, rows in motion.resting(t):
         chosen = map_samples(lambda field, rows=rows: field[0][rows], [samples])
-        torques = driving_torques(plan, t[rows], chosen, numbers[rows], locked)
+        torques = driving_torques(plan, t[rows], chosen, numbers[rows], rest)
         driving[rows] = torques[:, :driven]
-        reactions[rows[:, None], list(locked)] = torques[:, driven:]
+        for k, bound in enumerate(rest):
+            normals = np.array([bound.normal(x, plan.system.m) for x in chosen.x])
+            reactions[rows] += torques[:, driven + k, None] * normals
     return read_only(driving), read_only(reactions)
 
 
 def driving_torques(
-    plan: Plan, t: Array, samples: Sample, numbers: Array, locked: Sequence[int] = ()
+    plan: Plan, t: Array, samples: Sample, numbers: Array, rest: Sequence[Bound] = ()
 ) -> Array:
-    """Compute the torques of the prescribed joints, and those that lock further joints.
+    """Compute the torques of the prescribed joints, and the reactions of stops.
 
     Args:
         plan: The plan of the scene.
         t: Times, (T,) [s].
         samples: States that forces depend on at these times.
         numbers: Parameters of the forces at these times, (T, p).
-        locked: Indices of further rates, which stay zero.
+        rest: Stops at which joints rest.
     Returns:
-        (T, k) [N·m | N], in the order of the prescribed joints, then of `locked`.
+        (T, k) [N·m | N]: torques in the order of the prescribed joints; then the reactions of the
+        stops, away from them.
     """
-    driven = (*plan.acting.driven, *locked)
-    if not driven:
+    count = len(plan.acting.driven) + len(rest)
+    if not count:
         return read_only(np.zeros((len(t), 0)))
-    torques = np.empty((len(t), len(driven)))
+    torques = np.empty((len(t), count))
     count = max(1, _ENTRIES // plan.system.n**2)
     for first in range(0, len(t), count):
         rows = slice(first, first + count)
         chunk = map_samples(lambda field, rows=rows: field[0][rows], [samples])
-        torques[rows] = _driving_torques(plan, t[rows], chunk, numbers[rows], driven)
+        torques[rows] = _driving_torques(plan, t[rows], chunk, numbers[rows], rest)
     return read_only(torques)
 
 
 def _driving_torques(
-    plan: Plan, t: Array, samples: Sample, numbers: Array, joints: Sequence[int]
+    plan: Plan, t: Array, samples: Sample, numbers: Array, rest: Sequence[Bound]
 ) -> Array:
     """Return `driving_torques` at times whose mass matrices fit into memory."""
     system, r, forces = plan.system, plan.system.r, plan.forces
-    driven = r + np.array(joints)
+    on_surface = [bound.surface is not None for bound in rest]
+    locked = [bound for bound, is_on in zip(rest, on_surface, strict=True) if not is_on]
+    driven = r + np.array([*plan.acting.driven, *(bound.v for bound in locked)], dtype=np.intp)
     free = np.setdiff1d(np.arange(system.n), driven)
     H, force = _inertial_terms(system, samples)
     a, loads = np.zeros_like(force), np.zeros_like(force)
@@ -305,14 +310,29 @@ def _driving_torques(
         force = np.concatenate([acting.wrench, acting.torque], axis=1) + force
         a[:, driven[: len(forces.joints)]] = forces.prescribed(t, numbers).xddot
     free_force = force[:, free] - np.einsum("tij,tj->ti", H[:, free[:, None], driven], a[:, driven])
-    if system.closure is not None:
+    surfaces = [bound for bound, is_on in zip(rest, on_surface, strict=True) if is_on]
+    reactions = np.empty((len(t), len(surfaces)))
+    if system.closure is not None or surfaces:
         for k, row in enumerate(loads):
-            x, xdot = samples.x[k], samples.xdot[k]
-            row[:] = _loop_loads(system, x, xdot, H[k], a[k], driven, free, free_force[k])
+            J, bias = _constraints(system, samples.x[k], samples.xdot[k], surfaces)
+            bias = bias + J[:, driven] @ a[k, driven]
+            right = np.column_stack([free_force[k], J[:, free].T])
+            solved = np.linalg.solve(H[k][np.ix_(free, free)], right)
+            mobility = J[:, free] @ solved[:, 1:]
+            multipliers = np.linalg.solve(mobility, -bias - J[:, free] @ solved[:, 0])
+            row[:] = multipliers @ J
+            reactions[k] = multipliers[len(J) - len(surfaces) :]
     right = (free_force + loads[:, free])[..., None]
     a[:, free] = np.linalg.solve(H[:, free[:, None], free], right)[..., 0]
     needed = np.einsum("tij,tj->ti", H[:, driven], a)
-    return np.asarray(needed - force[:, driven] - loads[:, driven])
+    torques = np.asarray(needed - force[:, driven] - loads[:, driven])
+    if not rest:
+        return torques
+    count = len(plan.acting.driven)
+    of_stops = np.empty((len(t), len(rest)))
+    of_stops[:, np.logical_not(on_surface)] = torques[:, count:] * [bound.sign for bound in locked]
+    of_stops[:, on_surface] = reactions
+    return np.hstack([torques[:, :count], of_stops])
 
 
 def _inertial_terms(system: System, samples: Sample) -> tuple[Array, Array]:
@@ -336,28 +356,23 @@ def _inertial_terms(system: System, samples: Sample) -> tuple[Array, Array]:
     return system.coupled_matrix(symmetric(upper)), terms
 
 
-def _loop_loads(
-    system: System,
-    x: Array,
-    xdot: Array,
-    H: Array,
-    a: Array,
-    driven: Indices,
-    free: Indices,
-    force: Array,
-) -> Array:
-    """Return the forces Jᵀλ of closed loops, (n,), with given accelerations of driven joints.
+def _constraints(
+    system: System, x: Array, xdot: Array, surfaces: Sequence[Bound]
+) -> tuple[Array, Array]:
+    """Return the rows J (c, n) of closed loops and of stops at rest that lock no joint, and J̇ v, (c,).
 
     Base and free joints obey H a = F + Jᵀλ and J a + J̇ v = 0.
     """
-    assert system.closure is not None
-    rows = system.closure.rows
-    J = np.zeros((len(rows), system.n))
-    J[:, system.r :] = loop_jacobian(system, x)[rows]
-    bias = loop_jacobian_rate(system, x, xdot)[rows] @ xdot + J[:, driven] @ a[driven]
-    solved = np.linalg.solve(H[np.ix_(free, free)], np.column_stack([force, J[:, free].T]))
-    multipliers = np.linalg.solve(J[:, free] @ solved[:, 1:], -bias - J[:, free] @ solved[:, 0])
-    return np.asarray(multipliers @ J)
+    rows, rates = [np.zeros((0, system.m))], [np.zeros((0, system.m))]
+    if system.closure is not None:
+        rows.append(loop_jacobian(system, x)[system.closure.rows])
+        rates.append(loop_jacobian_rate(system, x, xdot)[system.closure.rows])
+    for bound in surfaces:
+        rows.append(bound.normal(x, system.m)[None])
+        rates.append(bound.normal_rate(x, xdot)[None])
+    on_shape = np.vstack(rows)
+    J = np.hstack([np.zeros((len(on_shape), system.r)), on_shape])
+    return J, np.vstack(rates) @ xdot
 
 
 def _weightless(model: pin.Model) -> pin.Model:

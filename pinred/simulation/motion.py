@@ -15,6 +15,7 @@ import numpy as np
 
 from ..common.arrays import Array, read_only
 from ..forces.switch_times import time_within
+from ..scene.stop import Bound
 from ..system.coordinates import Indices
 from ..system.state_fields import ShapeState, State, map_arrays
 from .checkpoint import Part, RunRecord
@@ -159,13 +160,13 @@ class Motion:
         """Start time [s] and name of each mode; one without joint stops."""
         return ((0.0, "no joint at rest"),)
 
-    def locked(self, t: Array) -> Iterator[tuple[tuple[int, ...], Indices]]:
-        """Yield the indices of the rates that stops lock, with the indices of times (T,).
+    def resting(self, t: Array) -> Iterator[tuple[tuple[Bound, ...], Indices]]:
+        """Yield the stops at which joints rest, with the indices of times (T,).
 
         Args:
             t: Times, (T,) [s].
         Yields:
-            The indices of rates and of times; every time once.
+            The stops, and the indices of times; every time once.
         """
         yield (), np.arange(len(t))
 

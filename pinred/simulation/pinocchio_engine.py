@@ -29,6 +29,8 @@ from ..reduction.canonical_form import CanonicalForm
 from ..reduction.inertia_split import lost_inertia, symmetric
 from ..reduction.potential import shape_gravity
 from ..scene.initial_state import Start
+from ..system.loops.kinematics import on_surfaces
+from ..system.loops.loop import BallSurface, quaternion_parts
 from ..system.state_fields import ShapeState, State
 from .plan import Plan
 from .reduced_flow import Integrate, Sample, Segment, entry_name, map_samples
@@ -235,6 +237,10 @@ class PinocchioFlow:
         self._driven_x = space.coordinates_of_joints(self._driven)
         self._free_x = space.coordinates_of(self._free)
         self._balls_at = 2 * len(self._free)
+        self._surfaces = dict[str, list[BallSurface]]()
+        for loop in system.loops:
+            if isinstance(loop, BallSurface):
+                self._surfaces.setdefault(loop.ball, []).append(loop)
         first = self._balls_at + 7 * len(self._ball_joints)
         self._potential = shape_gravity(system)
         self._weight = plan.acting.weight
@@ -453,18 +459,28 @@ class PinocchioFlow:
         x[self._free_x] = y[: len(self._free)]
         x[self._balls_x] = y[self._balls_at + len(self._balls) : self._base_at.start]
         for joint in self._ball_joints:
-            x[joint.x] /= np.linalg.norm(x[joint.x])
+            x[joint.x] = on_surfaces(self._surfaces.get(joint.name, ()), x[joint.x])
         if planned is not None:
             x[self._driven_x] = planned
         return x
 
     def _quaternion_rates(self, y: Array, xdot: Array) -> list[Array]:
-        """Return the rates ½ q σ of the quaternions of balls, of any length."""
+        """Return the rates ½ q σ of the quaternions of balls, of any length.
+
+        The parts of a ball at rest at a stop have constant norms; see `quaternion_parts`.
+        """
         quaternions = y[self._balls_at + len(self._balls) : self._base_at.start].reshape(-1, 4)
-        return [
-            quaternion_rate(q, xdot[joint.v])
-            for q, joint in zip(quaternions, self._ball_joints, strict=True)
-        ]
+        rates = []
+        for q, joint in zip(quaternions, self._ball_joints, strict=True):
+            surfaces = self._surfaces.get(joint.name)
+            if surfaces is None:
+                rates.append(quaternion_rate(q, xdot[joint.v]))
+                continue
+            turn = quaternion_rate(on_surfaces(surfaces, q), xdot[joint.v])
+            parts = [each for each in quaternion_parts(surfaces) if np.trace(each[0]) > 1.5]
+            scales = [float(np.linalg.norm(part @ q)) / radius for part, radius in parts]
+            rates.append(sum(s * part @ turn for s, (part, _) in zip(scales, parts, strict=True)))
+        return rates
 
     def entry_name(self, entry: int) -> str:
         """Return the name of an entry of the reduced state, for messages."""

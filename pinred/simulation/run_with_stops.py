@@ -30,7 +30,7 @@ from ..reduction.inertia_split import symmetric
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..scene.input_formats import list_forces
 from ..scene.scene import Engine, Scene
-from ..scene.stop import BallBound, Bound
+from ..scene.stop import BallBound, Bound, place
 from ..system.coordinates import Indices
 from ..system.loops.looped_system import loop_jacobian
 from ..system.state_fields import ShapeState, State
@@ -197,10 +197,10 @@ class StoppedMotion(Motion):
     def _numbers(self, k: int) -> Array:
         return self._own_numbers[k]
 
-    def locked(self, t: Array) -> Iterator[tuple[tuple[int, ...], Indices]]:
-        """Yield the rates of the joints at rest; see Motion.locked."""
+    def resting(self, t: Array) -> Iterator[tuple[Rest, Indices]]:
+        """Yield the stops at which joints rest; see Motion.resting."""
         for k, rows in self._by_segment(self._which(t)):
-            yield tuple(bound.v for bound in self._of_segment[k].mode.rest), rows
+            yield self._of_segment[k].mode.rest, rows
 
 
 def momentum_of(state: State | ShapeState, system: System) -> Array:
@@ -232,8 +232,9 @@ class _StopSearch(RootSearch):
             cling: Pull of a stop that counts as round-off.
         """
         bounds, at = mode.moving, flow.position_entries
-        self._polynomial = [k for k, bound in enumerate(bounds) if bound.v in at]
-        self._driven = [k for k, bound in enumerate(bounds) if bound.v not in at]
+        own = [bound.surface is None and bound.v in at for bound in bounds]
+        self._polynomial = [k for k, is_own in enumerate(own) if is_own]
+        self._driven = [k for k, is_own in enumerate(own) if not is_own]
         count = len(self._driven) + len(mode.rest)
         super().__init__(np.ones(count), range(count))
         self._plan, self._mode, self._flow, self._numbers = plan, mode, flow, numbers
@@ -292,8 +293,8 @@ class _StopSearch(RootSearch):
 
 def margin_of(bound: Bound) -> float:
     """Return the gap that counts as contact [rad | m]."""
-    # The angles of a ball are functions of a quaternion of length one.
-    size = max(4.0, abs(bound.position)) if isinstance(bound, BallBound) else abs(bound.position)
+    # Other values than positions are sums, such as the angles of a quaternion of length one.
+    size = abs(bound.position) if bound.surface is None else max(4.0, abs(bound.position))
     return max(_ROUND_OFF * size, _LEAST_GAP)
 
 
@@ -307,9 +308,8 @@ def reactions_of(plan: Plan, rest: Rest, t: Array, samples: Sample, numbers: Arr
         samples: States that forces depend on.
         numbers: Force parameters of the scene, (p,).
     """
-    locked, rows = [bound.v for bound in rest], np.tile(numbers, (len(t), 1))
-    torques = driving_torques(plan, t, samples, rows, locked)[:, len(plan.acting.driven) :]
-    return np.asarray(torques * np.array([bound.sign for bound in rest]))
+    torques = driving_torques(plan, t, samples, np.tile(numbers, (len(t), 1)), rest)
+    return np.asarray(torques[:, len(plan.acting.driven) :])
 
 
 def locked_scene(
@@ -319,7 +319,9 @@ def locked_scene(
     xdot: Array,
     places: Sequence[float | Parameter] | None = None,
 ) -> Scene:
-    """Return a scene without stops in which some joints are locked at their stops.
+    """Return a scene without stops in which some joints rest at their stops.
+
+    Hinges and slides are locked.  The attitudes of balls are on a surface, like joints in loops.
 
     Args:
         scene: The scene.
@@ -330,7 +332,12 @@ def locked_scene(
     """
     start, names = scene.start, scene.system.shape_names
     at = [bound.position for bound in rest] if places is None else places
-    plans = {names[bound.v]: place for bound, place in zip(rest, at, strict=True)}
+    surfaces = tuple(bound.surface for bound in rest if bound.surface is not None)
+    plans = {
+        names[bound.v]: place
+        for bound, place in zip(rest, at, strict=True)
+        if bound.surface is None
+    }
     resting = frozenset(bound.v for bound in rest)
     forces = [
         ComputedTorqueAtRest(**vars(force), resting=resting)
@@ -339,7 +346,7 @@ def locked_scene(
         for force in list_forces(scene.forces)
     ]
     return replace(
-        scene, x0=x, xdot0=xdot, xi0=start.xi, pose0=start.pose, momentum=None, seed=None,
+        scene, system=scene.system.on_surfaces(surfaces) if surfaces else scene.system, x0=x, xdot0=xdot, xi0=start.xi, pose0=start.pose, momentum=None, seed=None,
         keyframe=None, q0=None, v0=None, prescribed={**scene.prescribed, **plans},
         forces=forces,
     )  # fmt: skip
@@ -414,10 +421,10 @@ class _Run:
         mode = self._modes.get(rest)
         if mode is None:
             began = time.perf_counter()
-            locked = {bound.v for bound in rest}
+            locked = {bound.v for bound in rest if bound.surface is None}
             plan = self._limited(locked_scene(self._free, rest, x, xdot))
             flow = self.first.in_mode(plan)
-            moving = tuple(bound for bound in self.bounds if bound.v not in locked)
+            moving = tuple(b for b in self.bounds if not (b in rest or locked.issuperset(b.rates)))
             integrate = self._engine.integrator(flow, plan, self.progress)
             mode = self._modes[rest] = Mode(rest, moving, flow, integrate)
             self.building += time.perf_counter() - began
@@ -508,7 +515,7 @@ class _Run:
 
     def _refuse_driven(self, touching: Sequence[Bound], t: float) -> None:
         for bound in touching:
-            if bound.v in self.plan.acting.driven:
+            if {*bound.rates} & {*self.plan.acting.driven}:
                 raise InputError(
                     f"prescribed: the motion of joint '{bound.joint}' runs into its {bound.side} "
                     f"stop at t = {t:g} s. Change its motion, or omit its stop"
@@ -521,8 +528,8 @@ class _Run:
         x, xdot, pi = map(np.copy, state.values)
         among = {*rest, *touching}
         bounds = tuple(bound for bound in self.bounds if bound in among)
-        for bound in bounds:
-            bound.place(x)
+        self._refuse_undefined(bounds, x, state.t)
+        place(bounds, x)
         normals = np.array([b.normal(x, len(pi)) for b in bounds]).reshape(-1, len(pi))
         inverse = self._inverse_metric(x, normals[:, self._rates])
         G = normals[:, self._rates] @ inverse
@@ -536,10 +543,10 @@ class _Run:
         pi += impulse @ normals
         rates = xdot.copy()
         rates[self._rates] += inverse @ impulse
-        if self.system.loops:
+        if self.system.loops or any(bound.surface is not None for bound in rest):
             pi = self._momenta_in_loops(state, x, rates)
         rests = tuple(b for b, stays in zip(bounds, resting, strict=True) if stays)
-        rates[[b.v for b in rests]] = 0.0
+        rates[[b.v for b in rests if b.surface is None]] = 0.0
         new = self.mode(rests, x, rates)
         flow = new.start.resumed(state.t, x, pi, state.flow, state.y)
         impact = _impact(state.t, contact, impulse, after)
@@ -558,9 +565,6 @@ class _Run:
         other joints, so the decision is repeated without those that leave. At a contact, the joint
         is moved to its stop, which is a lift by round-off that can sustain a very slow rebound.
         Such a rebound becomes rest, too.
-
-        Raises:
-            IntegrationError: A ball comes to rest at its stop.
         """
         bounds, u, G = contact.bounds, contact.u, contact.G
         e = np.array([bound.stop.restitution for bound in bounds])
@@ -572,14 +576,6 @@ class _Run:
         usual = impulses(G, u, e)
         rebound = np.where(usual > 0.0, -e * u, u + G @ usual)
         slow = contact.may_rest & (rebound <= np.maximum(slowest, _SLOW))
-        for k in (k for k, bound in enumerate(bounds) if isinstance(bound, BallBound)):
-            slow[k] = False
-            if usual[k] > 0.0 and rebound[k] <= slowest[k]:
-                raise IntegrationError(
-                    f"stops: ball joint '{bounds[k].joint}' of '{self.system.name}' comes to rest "
-                    f"at its {bounds[k].side} stop at t = {state.t:g} s, which is not simulated. "
-                    "End the motion earlier, or load the ball as three hinges"
-                )
         if not slow.any():
             return usual, rebound, slow
         while True:
@@ -626,8 +622,18 @@ class _Run:
             return np.ones(len(rest), dtype=bool), back
         return solve_complementarity(G, -G @ locked) > 0.0, back
 
+    def _refuse_undefined(self, bounds: Rest, x: Array, t: float) -> None:
+        """Reject a ball at its twist stop whose swing reaches π."""
+        for bound in bounds:
+            if isinstance(bound, BallBound) and bound.is_undefined(x):
+                raise IntegrationError(
+                    f"stops: the swing of ball joint '{bound.joint}' reaches π at t = {t:g} s, "
+                    "where its twist is not defined. Bound its swing as well, such as "
+                    "BallStop(twist=…, swing=3)"
+                )
+
     def _refuse_dependent(self, bounds: Rest, G: Array, t: float) -> None:
-        """Reject stops of joints to which the loops leave no motions of their own.
+        """Reject stops that leave each other no motions of their own, by loops, at one ball or by followers.
 
         Args:
             bounds: The stops.
@@ -636,14 +642,16 @@ class _Run:
         Raises:
             IntegrationError: The motions of these joints depend on each other.
         """
-        if not self.system.loops or not bounds:
+        may_depend = len(bounds) > 1 and any(bound.surface is not None for bound in bounds)
+        if not bounds or not (self.system.loops or may_depend):
             return
         scale = 1.0 / np.sqrt(np.maximum(np.diag(G), 1e-300))
         if np.linalg.eigvalsh(scale[:, None] * G * scale)[0] > _DEPENDENT:
             return
         names = listed([f"{bound.joint} at its {bound.side} stop" for bound in bounds], 8)
+        cause = "loops" if self.system.loops else "balls and followers"
         raise IntegrationError(
-            f"stops: the loops of '{self.system.name}' leave {names} no independent motions at "
+            f"stops: the {cause} of '{self.system.name}' leave {names} no independent motions at "
             f"t = {t:g} s, so the reactions of these stops are not determined. Omit one of them"
         )
 

@@ -89,6 +89,24 @@ def _has_bound(*limits: Array) -> bool:
     return any(bool((np.abs(values) < UNLIMITED).any()) for values in limits)
 
 
+def limits_of_angle(angle: float) -> Array:
+    """Return the limits (2, 4) of a ball's quaternion whose rotation has a largest angle [rad]."""
+    limits = np.outer([-np.inf, np.inf], np.ones(4))
+    if angle < np.pi:  # the largest angle of any rotation
+        limits[0, 3] = np.cos(0.5 * angle)
+    return limits
+
+
+def angles_of_balls(system: System) -> dict[str, float]:
+    """Return the largest angles of the balls that the robot's file bounds [rad]."""
+    model, angles = system.sorted_model, dict[str, float]()
+    for ball in system.space.balls:
+        least = float(model.lowerPositionLimit[model.joints[model.getJointId(ball.name)].idx_q + 3])
+        if 0.0 < least < 1.0:
+            angles[ball.name] = 2.0 * float(np.arccos(least))
+    return angles
+
+
 def limits_of(system: System) -> tuple[StatedLimit, ...]:
     """Return the limits of joints with one rate, followers included; see `stated_limits`."""
 

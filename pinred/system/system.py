@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats, vector
 from ..common.errors import InputError, ModelError, ShapeError, UnsupportedOperationError
-from ..common.memo import once_a_thread
+from ..common.memo import once_a_thread, recent
 from ..common.names import listed
 from ..lie.group import Group
 from .admission import admit, check_joints
@@ -44,6 +44,7 @@ from .rebuild import depth_first
 from .robot_file_contents import Actuator, Contents, Coupling, Keyframe, LeftOut, Origin
 
 T = TypeVar("T")
+_MOST_SURFACES = 128  # Largest number of copies with joints on surfaces that a system keeps.
 
 
 @checks_arguments
@@ -274,6 +275,23 @@ class System:
             return tree
 
         return self.workspace("open tree", make)
+
+    def on_surfaces(self, surfaces: tuple[Constraint, ...]) -> System:
+        """Return the system as it was loaded, with further constraints of its shape.
+
+        Args:
+            surfaces: Independent constraints.
+        """
+        loaded = nominal(self)
+
+        def make() -> System:
+            held = copy(loaded)
+            contents = replace(loaded.contents, loops=(*loaded.loops, *surfaces))
+            vars(held).update(contents=contents, closure=None)
+            vars(held)["closure"] = close_loops(held)
+            return held
+
+        return recent(loaded, surfaces, make, _MOST_SURFACES, "surfaces")
 
     @property
     def root_name(self) -> str:

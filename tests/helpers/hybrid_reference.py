@@ -2,8 +2,11 @@
 
 The state is (q, v) of Pinocchio with the unwrapped position s of each rate. Between impacts,
 `pin.aba` and SciPy's DOP853 integrate it. At an impact, H Δv = Σ λ_i e_i with the mass matrix of
-CRBA. Joints at rest and followers have multipliers of the full equations of motion. Nothing of the
+RNEA. Joints at rest and followers have multipliers of the full equations of motion. Nothing of the
 reduction is used.
+
+A stop of a ball is an inequality tr(W R) ≥ c of its rotation matrix R. With body rates ω,
+d/dt tr(W R) = tr(W R ω̂), and tr(W R ω̂ ω̂) remains at constant rates.
 """
 
 from __future__ import annotations
@@ -45,9 +48,56 @@ class HybridMotion:
     v: list[Array] = field(default_factory=list)
 
 
-def stops_of(traj: pinred.Trajectory) -> dict[str, pinred.Stop]:
+AnyStop = pinred.Stop | pinred.BallStop
+
+
+def stops_of(traj: pinred.Trajectory) -> dict[str, AnyStop]:
     """Return the stops of a trajectory's scene, which stores them parsed."""
-    return dict(cast("Mapping[str, pinred.Stop]", traj.scene.stops))
+    return dict(cast("Mapping[str, AnyStop]", traj.scene.stops))
+
+
+@dataclass(frozen=True)
+class BallForm:
+    """An inequality tr(W R) ≥ c of the attitude R of a ball, at coordinates `q` and rates `v`."""
+
+    W: Array
+    c: float
+    q: slice
+    v: slice
+
+    def attitude(self, q: Array) -> Array:
+        """Return the rotation matrix."""
+        own = q[self.q] / np.linalg.norm(q[self.q])
+        return np.array(pin.Quaternion(own).toRotationMatrix())
+
+    def gap(self, q: Array) -> float:
+        """Return tr(W R) − c."""
+        return float(np.trace(self.W @ self.attitude(q))) - self.c
+
+    def row(self, q: Array) -> Array:
+        """Return the gradient along the rates of the ball, (3,)."""
+        A = self.W @ self.attitude(q)
+        return np.array([A[1, 2] - A[2, 1], A[2, 0] - A[0, 2], A[0, 1] - A[1, 0]])
+
+    def bias(self, q: Array, v: Array) -> float:
+        """Return the second derivative at constant rates."""
+        turn = pin.skew(v[self.v])
+        return float(np.trace(self.W @ self.attitude(q) @ turn @ turn))
+
+
+def ball_forms(stop: pinred.BallStop, joint: pin.JointModel) -> list[BallForm]:
+    """Return the inequalities of a ball: of its angle, its swing and its twist."""
+    places = slice(joint.idx_q, joint.idx_q + 4), slice(joint.idx_v, joint.idx_v + 3)
+    n, forms = np.array(stop.axis), []
+    if np.isfinite(stop.angle):
+        forms.append(BallForm(np.eye(3), 1.0 + 2.0 * np.cos(stop.angle), *places))
+    if np.isfinite(stop.swing):
+        forms.append(BallForm(np.outer(n, n), np.cos(stop.swing), *places))
+    for sign, twist in zip((1.0, -1.0), stop.twist, strict=True):
+        if np.isfinite(twist):  # sin(τ − twist), times a positive factor
+            W = -np.cos(twist) * pin.skew(n) - np.sin(twist) * (np.eye(3) - np.outer(n, n))
+            forms.append(BallForm(sign * W, 0.0, *places))
+    return forms
 
 
 def configuration_rate(model: pin.Model, q: Array, v: Array) -> Array:
@@ -86,24 +136,32 @@ def _quaternion_rate(c: Array, w: Array) -> Array:
 
 
 class HybridReference:
-    """The full-state simulation of a system with stops on hinges and slides."""
+    """The full-state simulation of a system with stops."""
 
     def __init__(
         self,
         system: pinred.System,
-        stops: Mapping[str, pinred.Stop],
+        stops: Mapping[str, AnyStop],
         torque: Torque | None = None,
         tolerance: float = 1e-12,
     ) -> None:
         """Prepare the equations; `torque` returns generalised forces."""
         self.model, self.data = system.model.copy(), system.model.createData()
         self.torque, self.tolerance = torque, tolerance
-        self.rows: list[tuple[str, int, float, float, pinred.Stop]] = []
+        self.rows: list[tuple[str, int, float, float, AnyStop]] = []
+        self.forms: dict[int, BallForm] = {}
         for name, stop in stops.items():
+            if isinstance(stop, pinred.BallStop):
+                continue
             at = self.model.joints[self.model.getJointId(name)].idx_v
             for sign, position in ((1.0, stop.lower), (-1.0, stop.upper)):
                 if np.isfinite(position):
                     self.rows.append((name, at, sign, position, stop))
+        for name, stop in stops.items():
+            if isinstance(stop, pinred.BallStop):
+                for form in ball_forms(stop, self.model.joints[self.model.getJointId(name)]):
+                    self.forms[len(self.rows)] = form
+                    self.rows.append((name, form.v.start, 1.0, 0.0, stop))
         self.J = np.zeros((len(system.couplings), self.model.nv))
         for row, coupling in zip(self.J, system.couplings, strict=True):
             row[self.rate_of(coupling.follower)] = 1.0
@@ -130,8 +188,9 @@ class HybridReference:
             a = a - Hinv @ self.J.T @ np.linalg.solve(self.J @ Hinv @ self.J.T, self.J @ a)
         if not rest:
             return a, np.empty(0)
-        E, response = self.normals(rest), self.response(q)
-        reaction = np.linalg.solve(E @ response @ E.T, -E @ a)
+        E, response = self.normals(rest, q), self.response(q)
+        bias = np.array([self.forms[k].bias(q, v) if k in self.forms else 0.0 for k in rest])
+        reaction = np.linalg.solve(E @ response @ E.T, -E @ a - bias)
         return a + response @ E.T @ reaction, reaction
 
     def response(self, q: Array) -> Array:
@@ -143,16 +202,20 @@ class HybridReference:
         return free
 
     def mass(self, q: Array) -> Array:
-        """Return the mass matrix."""
-        upper = np.triu(pin.crba(self.model, self.data, q))
-        H: Array = upper + np.triu(upper, 1).T
-        return H
+        """Return the mass matrix, by RNEA, because CRBA needs joints in depth-first order."""
+        rest = np.zeros(self.model.nv)
+        units = [rest, *np.eye(self.model.nv)]
+        weight, *columns = [pin.rnea(self.model, self.data, q, rest, a).copy() for a in units]
+        return np.array(columns) - weight
 
-    def normals(self, rows: tuple[int, ...]) -> Array:
+    def normals(self, rows: tuple[int, ...], q: Array) -> Array:
         """Return the directions away from stops, as rows."""
         E = np.zeros((len(rows), self.model.nv))
         for k, row in enumerate(rows):
-            E[k, self.rows[row][1]] = self.rows[row][2]
+            if row in self.forms:
+                E[k, self.forms[row].v] = self.forms[row].row(q)
+            else:
+                E[k, self.rows[row][1]] = self.rows[row][2]
         return E
 
     def run(
@@ -179,7 +242,7 @@ class HybridReference:
             q, v, s = np.split(y, [n, n + nv])
             if kinds is None:
                 break
-            for k in {*rest, *(k for k in kinds if k < len(self.rows))}:
+            for k in {*rest, *(k for k in kinds if k < len(self.rows))} - {*self.forms}:
                 s[self.rows[k][1]] = self.rows[k][3]
             v, rest = self._impact(t, q, v, rest, kinds, motion)
         return motion
@@ -187,6 +250,8 @@ class HybridReference:
     def _gaps(self, y: Array, rest: tuple[int, ...], t: float) -> Array:
         q, v, s = np.split(y, [self.model.nq, self.model.nq + self.model.nv])
         gaps = np.array([sign * (s[at] - p) for _, at, sign, p, _ in self.rows])
+        for k, form in self.forms.items():
+            gaps[k] = form.gap(q)
         values = np.where(np.isin(np.arange(len(gaps)), rest), 1.0, gaps)
         return np.concatenate([values, self.accelerations(t, q, v, rest)[1]])
 
@@ -257,7 +322,7 @@ class HybridReference:
         count = len(self.rows)
         released = {rest[k - count] for k in kinds if k >= count}
         S = tuple(sorted({*rest, *(k for k in kinds if k < count)}))
-        E, H, response = self.normals(S), self.mass(q), self.response(q)
+        E, H, response = self.normals(S, q), self.mass(q), self.response(q)
         u = E @ v
         u[np.isin(S, rest)] = 0.0
         e = np.array([self.rows[k][4].restitution for k in S])
@@ -272,10 +337,11 @@ class HybridReference:
             impulse[chosen] -= np.linalg.solve(block, rebound[chosen])
             new = v + response @ E.T @ impulse
             may = tuple(S[k] for k in chosen)
-            for row in may:
+            for row in (row for row in may if row not in self.forms):
                 new[self.rows[row][1]] = 0.0
             a, _ = self.accelerations(t, q, new, ())
-            reaction = complementarity(block, self.normals(may) @ a)
+            bias = [self.forms[k].bias(q, new) if k in self.forms else 0.0 for k in may]
+            reaction = complementarity(block, self.normals(may, q) @ a + bias)
             leaves = [k for k, r in zip(chosen, reaction, strict=True) if not r > 0.0]
             if not any(rebound[k] > 1e-13 for k in leaves):
                 break

@@ -18,8 +18,7 @@ import numpy as np
 from ...common.argument_kinds import checks_arguments
 from ...common.errors import IntegrationError, PinredError
 from ...common.files import write_atomic, write_table
-from ...common.progress import Progress, shown
-from ...common.waiting import ProgressBar, quiet
+from ...common.waiting import Progress, ProgressBar, quiet, shown
 from .problems import Problem, compute_drift, problems_named
 from .reference import Reference, reference_of
 from .solver import PreparedRun, Solver

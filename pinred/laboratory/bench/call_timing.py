@@ -19,8 +19,7 @@ from ...analysis.stability.linearised_flow import without_base
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ...common.progress import Progress
-from ...common.waiting import one_by_one
+from ...common.waiting import Progress, one_by_one
 from ...forces.kinds import Damper
 from ...judge.compare import compare
 from ...kernels.state_jacobian import jacobian_of

@@ -23,8 +23,7 @@ from scipy.integrate import solve_ivp
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError, IntegrationError
-from ...common.progress import Progress
-from ...common.waiting import one_by_one
+from ...common.waiting import Progress, one_by_one
 from ...integrators.methods import METHODS, AdaptiveGauss, Explicit, Method
 from ...judge.reference_solution import FINEST
 from ...simulation.simulate import simulate

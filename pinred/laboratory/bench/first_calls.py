@@ -16,8 +16,7 @@ import numpy as np
 
 from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
-from ...common.progress import Progress
-from ...common.waiting import one_by_one
+from ...common.waiting import Progress, one_by_one
 from .timing import Table
 
 _ROUNDS = 3  # number of processes with shipped code; compilations are measured once

@@ -24,8 +24,7 @@ import pinocchio as pin
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
-from ...common.progress import Progress, shown
-from ...common.waiting import one_by_one, quiet
+from ...common.waiting import Progress, one_by_one, quiet, shown
 from ...scene.scene import Scene
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory

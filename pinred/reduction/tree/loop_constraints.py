@@ -41,7 +41,7 @@ import pinocchio as pin
 from ...common.memo import once
 from ...system.coordinates import PlacedJoint, ShapeSpace
 from ...system.loops.kinematics import LoopEnd, loop_ends, rotation_axes
-from ...system.loops.loop import JointPolynomial, Loop
+from ...system.loops.loop import BallSurface, JointPolynomial, Loop, quaternion_parts
 from ...system.loops.loop_assembly import rate_units, scaled_jacobian
 from ...system.system import System, nominal
 from .all_joints import joint_rates, joint_values, on_shape
@@ -58,6 +58,7 @@ from .scalars import (
     factor_ldl,
     mul,
     plus,
+    quaternion_rate,
     solve_factored,
     sub,
     total,
@@ -241,6 +242,106 @@ class PolynomialRow:
         return value
 
 
+@dataclass
+class SurfaceRow:
+    """The row of a surface of a ball's attitudes."""
+
+    tree: ShapeSpace
+    surface: BallSurface
+    joints: Sequence[Scalar]
+
+    def row(self, n: int) -> dict[int, Scalar]:  # noqa: ARG002
+        """Return the row of J: {tree rate: entry}."""
+        q, v = self._ball
+        return dict(zip(v, _along_rates(q, _slope(self.surface, q)), strict=True))
+
+    def turning(self, nu: Mapping[int, Scalar], rates: Sequence[Scalar]) -> dict[int, Scalar]:
+        """Return J̇ᵀν, as LoopRows.turning does."""
+        q, v = self._ball
+        turn = quaternion_rate(q, [rates[k] for k in v])
+        first = _along_rates(q, _slope(self.surface, turn, constant=False))
+        second = _along_rates(turn, _slope(self.surface, q))
+        return dict(zip(v, [mul(nu[0], c) for c in plus(first, second)], strict=True))
+
+    @property
+    def value(self) -> Scalar:
+        """The constraint φ."""
+        return _surface_value(self.surface, self._ball[0])
+
+    @property
+    def _ball(self) -> tuple[list[Scalar], range]:
+        """The quaternion of the ball, and the indices of its rates."""
+        joint = next(joint for joint in self.tree.joints if joint.name == self.surface.ball)
+        return list(self.joints[joint.x]), range(joint.v.start, joint.v.stop)
+
+
+def _surface_value(surface: BallSurface, q: Sequence[Scalar]) -> Scalar:
+    """Return φ at a quaternion."""
+    S, l, c = surface.form
+    half = [add(0.5 * dot(row, list(q)), k) for row, k in zip(S.tolist(), l.tolist(), strict=True)]
+    return sub(dot(half, list(q)), c)
+
+
+def _slope(surface: BallSurface, q: Sequence[Scalar], *, constant: bool = True) -> list[Scalar]:
+    """Return S q + l, or S q if not `constant`."""
+    S, l, _ = surface.form
+    ends = l.tolist() if constant else [0.0] * 4
+    return [add(dot(row, list(q)), end) for row, end in zip(S.tolist(), ends, strict=True)]
+
+
+def _along_rates(q: Sequence[Scalar], slope: Sequence[Scalar]) -> list[Scalar]:
+    """Return the components of a derivative by a quaternion q along the rates of its ball, (3,)."""
+    return [dot(slope, quaternion_rate(q, unit)) for unit in _UNITS]
+
+
+@dataclass
+class RestingBall:
+    """A ball on surfaces of its attitudes.
+
+    The integrated quaternion has parts of constant norm (see `quaternion_parts`).  The attitude has
+    the same parts with their exact norms, so it is on the surfaces, whatever errors the integrated
+    norms have.
+
+    Attributes:
+        parts: Parts of the integrated quaternion, (4,) each.
+        sizes: Their norms.
+        radii: The exact norms.
+        projectors: Projectors on the parts, (4, 4) each.
+    """
+
+    parts: list[list[Scalar]]
+    sizes: list[Scalar]
+    radii: list[float]
+    projectors: list[list[list[float]]]
+
+    @classmethod
+    def of(cls, system: System, ball: PlacedJoint, q: Sequence[Scalar]) -> RestingBall:
+        """Return a ball of a system with an integrated quaternion."""
+        loops = (loop for loop in system.loops if isinstance(loop, BallSurface))
+        surfaces = [loop for loop in loops if loop.ball == ball.name]
+        projectors, radii = zip(*quaternion_parts(surfaces), strict=True)
+        rows = [projector.tolist() for projector in projectors]
+        parts = [[dot(row, list(q)) for row in projector] for projector in rows]
+        return cls(parts, [ca.sqrt(dot(part, part)) for part in parts], list(radii), rows)
+
+    @property
+    def attitude(self) -> list[Scalar]:
+        """The unit quaternion of the attitude."""
+        q: list[Scalar] = [0.0] * 4
+        for part, size, radius in zip(self.parts, self.sizes, self.radii, strict=True):
+            q = plus(q, [mul(radius / size, c) for c in part])
+        return q
+
+    def rate(self, rate: Sequence[Scalar]) -> list[Scalar]:
+        """Return the rate of the integrated quaternion for a rate of the attitude, (4,)."""
+        rates: list[Scalar] = [0.0] * 4
+        for rows, size, radius in zip(self.projectors, self.sizes, self.radii, strict=True):
+            if sum(row[k] for k, row in enumerate(rows)) > 1.5:  # a part of one entry is constant
+                scale = size / radius
+                rates = plus(rates, [mul(scale, dot(row, list(rate))) for row in rows])
+        return rates
+
+
 def chain_to_root(bodies: Sequence[Body], end: LoopEnd) -> list[int]:
     """Return the bodies from the body of a frame to the root."""
     chain = [end.joint - 1]
@@ -324,6 +425,8 @@ def constraint_values(system: System, bodies: Sequence[Body], x: Sequence[Scalar
     for loop in system.loops:
         if isinstance(loop, Loop):
             values += _values(system.sorted_model, bodies, loop, joints)
+        elif isinstance(loop, BallSurface):
+            values.append(SurfaceRow(system.tree, loop, joints).value)
         else:
             values.append(_polynomial(loop, dict(zip(system.tree.x_names, joints, strict=True))))
     return [values[k] for k in system.closure.rows.tolist()]
@@ -356,7 +459,7 @@ def solve_with_loops(
     Args:
         system: The system.
         bodies: Bodies of the tree, root first.
-        x: Symbols of the shape, (nx,); expressions for prescribed joints.
+        x: Shape, (nx,): symbols, or expressions for prescribed joints and for balls at rest.
         momentum: Impetus p, (m,).
         sweep: Function that sweeps the open tree from canonical momenta (m,), with or without the
             body momentum and the rates of prescribed joints.
@@ -364,12 +467,12 @@ def solve_with_loops(
     Returns:
         Velocities, canonical momenta and rates.
     """
-    driven = bool(prescribed)
-    entries = ca.vertsplit(ca.SX.sym("x", system.nx)) if driven else x
+    has_expressions = not all(isinstance(entry, ca.SX) and entry.is_symbolic() for entry in x)
+    entries = ca.vertsplit(ca.SX.sym("x", system.nx)) if has_expressions else x
     column = ca.vertcat(*entries)
     phi = as_column(constraint_values(system, bodies, entries))
     by_coordinates = ca.jacobian(phi, column)
-    if driven:
+    if has_expressions:
         coordinates = ca.vertcat(*(ca.SX(value) for value in x))
         phi, by_coordinates = ca.substitute([phi, by_coordinates], [column], [coordinates])
     rows = _rows_of(system, bodies, joint_values(system, x))
@@ -444,7 +547,7 @@ def _product(a: Swept, b: Swept) -> Scalar:
     return total([mul(u, w) for (u, _), (_, w) in zip(a.factors, b.factors, strict=True)])
 
 
-Row = tuple[LoopRows | PolynomialRow, int]
+Row = tuple[LoopRows | PolynomialRow | SurfaceRow, int]
 
 
 def _rows_of(system: System, bodies: Sequence[Body], joints: Sequence[Scalar]) -> list[Row]:
@@ -455,6 +558,8 @@ def _rows_of(system: System, bodies: Sequence[Body], joints: Sequence[Scalar]) -
         if isinstance(loop, Loop):
             chain = LoopRows.at(system.sorted_model, bodies, loop, joints)
             rows += [(chain, n) for n in range(loop.equations)]
+        elif isinstance(loop, BallSurface):
+            rows.append((SurfaceRow(system.tree, loop, joints), 0))
         else:
             rows.append((PolynomialRow(system.tree, loop, joints), 0))
     return [rows[k] for k in system.closure.rows.tolist()]
@@ -464,7 +569,7 @@ def _turning(
     system: System, rows: Sequence[Row], nu: Sequence[Scalar], rates: Sequence[Scalar]
 ) -> list[Scalar]:
     """Return J̇ᵀν along the shape, (m,), at rates of all joints."""
-    multipliers: dict[int, tuple[LoopRows | PolynomialRow, dict[int, Scalar]]] = {}
+    multipliers: dict[int, tuple[LoopRows | PolynomialRow | SurfaceRow, dict[int, Scalar]]] = {}
     for (loop, n), value in zip(rows, nu, strict=True):
         multipliers.setdefault(id(loop), (loop, {}))[1][n] = value
     rates_of_joints: list[Scalar] = [0.0] * system.tree.m

@@ -373,12 +373,19 @@ class StoppedPropagator(Propagator):
                 f"stops: flows with stops take no closed loops, but '{scene.system.name}' has "
                 "some. Omit stops, or open the loops when it is loaded (loops=)"
             )
-        balls = [bound.joint for bound in scene.bounds if isinstance(bound, BallBound)]
-        if balls:
-            raise InputError(
-                f"stops: flows take stops of hinges and slides, got one of ball '{balls[0]}'. Omit "
-                "it, or load the ball as three hinges"
-            )
+        for bound in scene.bounds:
+            if bound.surface is not None:
+                is_ball = isinstance(bound, BallBound)
+                what = (
+                    f"ball '{bound.joint}'" if is_ball else f"follower '{bound.joint}' of several"
+                )
+                remedy = (
+                    "load the ball as three hinges" if is_ball else "state stops of its leaders"
+                )
+                raise InputError(
+                    f"stops: flows take stops of hinges and slides, got one of {what}. Omit it, or "
+                    f"{remedy}"
+                )
         laws = [force for force in list_forces(scene.forces)
                 if isinstance(force, (Controller, ComputedTorque))]  # fmt: skip
         if laws:

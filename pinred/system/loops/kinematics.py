@@ -6,7 +6,8 @@ relative twist in frame b is V = D v with D = J_b − Ad(X⁻¹) J_a, so
 
     ṗ = R V_lin,   Ṙ = R V̂_ang,   Ḋ = J̇_b − Ad(X⁻¹) J̇_a + ad(V) Ad(X⁻¹) J_a.
 
-Polynomials between two joints are the constraints φ = x_f − x_f⁰ − Σ c_k (x_l − x_l⁰)^k.
+Polynomials between two joints are the constraints φ = x_f − x_f⁰ − Σ c_k (x_l − x_l⁰)^k.  Surfaces of
+balls are polynomials of quaternions (see BallSurface).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.names import listed, nearest, quoted
 from ..joints import is_prismatic
-from .loop import Constraint, JointPolynomial, Loop
+from .loop import BallSurface, Constraint, JointPolynomial, Loop, quaternion_parts
 
 
 class JointLaw:
@@ -62,6 +63,61 @@ class JointLaw:
         rate, leader = np.zeros((1, self._nv)), self._v[1]
         rate[0, leader] = -self._curvature(q[self._q[1]] - self._zeros[1]) * v[leader]
         return rate
+
+
+class BallLaw:
+    """The constraint of a surface of a ball's attitudes, with its row of the Jacobian.
+
+    Attributes:
+        is_length: Whether the constraint is a length [m]; it has no unit.
+        joints: Index in the model of the ball.
+    """
+
+    is_length = False
+
+    def __init__(self, model: pin.Model, law: BallSurface) -> None:
+        """Find the ball in the model."""
+        self.joints = (int(model.getJointId(law.ball)),)
+        joint = model.joints[self.joints[0]]
+        self._q, self._v = (slice(k, k + n) for k, n in ((joint.idx_q, 4), (joint.idx_v, 3)))
+        self._nv, (self._S, self._l, self._c) = int(model.nv), law.form
+
+    def value(self, q: Array) -> Array:
+        """Return φ, (1,), at configuration q (nq,)."""
+        own = q[self._q]
+        return np.array([(0.5 * self._S @ own + self._l) @ own - self._c])
+
+    def row(self, q: Array) -> Array:
+        """Return the row of the Jacobian, (1, nv)."""
+        row = np.zeros((1, self._nv))
+        row[0, self._v] = (self._S @ q[self._q] + self._l) @ rates_of_quaternion(q[self._q])
+        return row
+
+    def row_rate(self, q: Array, v: Array) -> Array:
+        """Return the time derivative of the row at velocity v (nv,), (1, nv)."""
+        own, rate = q[self._q], np.zeros((1, self._nv))
+        turn = rates_of_quaternion(own) @ v[self._v]
+        rate[0, self._v] = (self._S @ turn) @ rates_of_quaternion(own)
+        rate[0, self._v] += (self._S @ own + self._l) @ rates_of_quaternion(turn)
+        return rate
+
+
+def rates_of_quaternion(q: Array) -> Array:
+    """Return the map from the rates of a ball to those of its quaternion q (4,), (4, 3)."""
+    a, b, c, d = q
+    return 0.5 * np.array([[d, -c, b], [c, d, -a], [-b, a, d], [-a, -b, -c]])
+
+
+def on_surfaces(surfaces: Sequence[BallSurface], q: Array) -> Array:
+    """Return the unit quaternion on surfaces of one ball for a quaternion near them, (4,)."""
+    parts = [(radius, projector @ q) for projector, radius in quaternion_parts(surfaces)]
+    attitude = sum(radius / max(float(np.linalg.norm(p)), 1e-300) * p for radius, p in parts)
+    return np.asarray(attitude)
+
+
+def law_of(model: pin.Model, law: JointPolynomial | BallSurface) -> JointLaw | BallLaw:
+    """Return a constraint between joint values, with its row of the Jacobian."""
+    return BallLaw(model, law) if isinstance(law, BallSurface) else JointLaw(model, law)
 
 
 def _joint(model: pin.Model, law: JointPolynomial, name: str) -> int:
@@ -164,12 +220,12 @@ class LoopKinematics:
         self.loops = tuple(loops)
         self._model, self._data = model, model.createData()
         self._ends: dict[int, tuple[LoopEnd, LoopEnd]] = {}
-        self._laws: dict[int, JointLaw] = {}
+        self._laws: dict[int, JointLaw | BallLaw] = {}
         for k, loop in enumerate(loops):
-            if isinstance(loop, JointPolynomial):
-                self._laws[k] = JointLaw(model, loop)
-            else:
+            if isinstance(loop, Loop):
                 self._ends[k] = loop_ends(model, loop)
+            else:
+                self._laws[k] = law_of(model, loop)
         self._root = int(model.joints[1].nv)
         first = np.cumsum([0, *(loop.equations for loop in loops)]).tolist()
         self.rows = [slice(a, b) for a, b in pairwise(first)]

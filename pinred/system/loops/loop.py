@@ -11,13 +11,17 @@ name_mot: [hip, …]                     # joints with motors, which pinred does
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
+import numpy as np
+
 from ...common.argument_kinds import checks_arguments
+from ...common.arrays import Array
 from ...common.errors import InputError, LoadError
 from ...common.files import is_file
 from ...common.names import brief, plain_path, quoted
@@ -116,7 +120,87 @@ class JointPolynomial:
         return f"{label}{self.follower} is a polynomial of degree {degree} in {self.leader}"
 
 
-Constraint: TypeAlias = Loop | JointPolynomial
+@dataclass(frozen=True)
+class BallSurface:
+    """A constraint that keeps a bounded angle of a ball joint at its bound.
+
+    With the quaternion q = (v, w) of the ball and the axis n, φ is w² − cos²(limit/2) for the
+    "angle" of the whole rotation, (v·n)² + w² − cos²(limit/2) for the "swing" of the axis, and
+    v·n cos(limit/2) − w sin(limit/2) for the "twist" about it.  The gradient of each has the same
+    length on the whole surface.
+
+    Attributes:
+        ball: Name of the ball.
+        kind: "angle", "swing" or "twist".
+        limit: Value of the angle [rad].
+        axis: Unit vector, (3,).
+    """
+
+    ball: str
+    kind: str
+    limit: float
+    axis: tuple[float, float, float]
+
+    @property
+    def name(self) -> str:
+        """Name in messages."""
+        return f"{self.ball} at its {self.kind} stop"
+
+    @property
+    def equations(self) -> int:
+        """Number of scalar equations."""
+        return 1
+
+    @property
+    def form(self) -> tuple[Array, Array, float]:
+        """S (4, 4), l (4,) and c of φ = ½ qᵀSq + lᵀq − c."""
+        n, cosine = np.append(self.axis, 0.0), math.cos(0.5 * self.limit)
+        if self.kind == "twist":
+            return np.zeros((4, 4)), cosine * n - [0.0, 0.0, 0.0, math.sin(0.5 * self.limit)], 0.0
+        S = np.diag([0.0, 0.0, 0.0, 2.0]) + 2.0 * (self.kind == "swing") * np.outer(n, n)
+        return S, np.zeros(4), cosine**2
+
+
+def quaternion_parts(surfaces: Sequence[BallSurface]) -> list[tuple[Array, float]]:
+    """Return the parts of quaternions that have constant norms on surfaces of one ball.
+
+    On the surface of an angle, these are v and w, with the norms sin(angle/2) and cos(angle/2).
+    A swing leaves the norms of v across the axis, and of (v·n, w).  A twist leaves no part in one
+    direction.  Two surfaces leave a circle, on which the part of v across the axis turns.
+
+    Args:
+        surfaces: No more than two independent surfaces; none for unit quaternions.
+    Returns:
+        Orthogonal projectors on the parts, (4, 4), and the norms.
+    """
+    limits = {surface.kind: surface.limit for surface in surfaces}
+    if not limits:
+        return [(np.eye(4), 1.0)]
+    n, real = np.append(surfaces[0].axis, 0.0), np.diag([0.0, 0.0, 0.0, 1.0])
+    along, vector = np.outer(n, n), np.eye(4) - real
+    cosines = {kind: math.cos(0.5 * limit) for kind, limit in limits.items()}
+    if len(limits) == 1:
+        ((kind, limit),) = limits.items()
+        part, size = math.sin(0.5 * limit), cosines[kind]
+        if kind == "twist":
+            absent = size * n - part * real[3]
+            return [(np.eye(4) - np.outer(absent, absent), 1.0)]
+        constant = real + along if kind == "swing" else real
+        return [(np.eye(4) - constant, part), (constant, size)]
+    if "angle" not in limits or len(limits) > 2:
+        w = cosines["swing"] * cosines["twist"]
+        axial = cosines["swing"] * abs(math.sin(0.5 * limits["twist"]))
+    elif "swing" in limits:
+        w = cosines["angle"]
+        axial = math.sqrt(max(cosines["swing"] ** 2 - w**2, 0.0))
+    else:
+        w = cosines["angle"]
+        axial = w * abs(math.tan(0.5 * limits["twist"]))
+    across = math.sqrt(max(1.0 - axial**2 - w**2, 0.0))
+    return [(vector - along, across), (along, axial), (real, w)]
+
+
+Constraint: TypeAlias = Loop | JointPolynomial | BallSurface
 
 
 def parse_loops(loops: object) -> tuple[Constraint, ...]:

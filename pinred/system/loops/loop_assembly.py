@@ -17,8 +17,8 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.errors import InputError, ModelError
 from ...common.names import quoted
-from .kinematics import JointLaw, loop_ends
-from .loop import HEAVY_GROUND, Constraint, JointPolynomial, Loop
+from .kinematics import law_of, loop_ends
+from .loop import HEAVY_GROUND, Constraint, Loop
 from .looped_system import (
     Closure,
     LoopedSystem,
@@ -279,8 +279,8 @@ def loop_rates(system: LoopedSystem) -> frozenset[int]:
 
 def moving_joints(system: LoopedSystem, loop: Constraint) -> set[int]:
     """Return the joints in the model that move a loop."""
-    if isinstance(loop, JointPolynomial):
-        return {*JointLaw(system.sorted_model, loop).joints}
+    if not isinstance(loop, Loop):
+        return {*law_of(system.sorted_model, loop).joints}
     a, b = (_path(system, end.joint) for end in loop_ends(system.sorted_model, loop))
     return a ^ b
 

@@ -12,6 +12,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.names import listed, quoted
 from ..rebuild import ModelBuilder
+from ..stated_limits import limits_of_angle
 from .mujoco_joints import Joint, frame, joint_of
 from .root import RootMotion, root_motion
 from .world import World
@@ -201,8 +202,11 @@ def _add_joint(tree: Tree, at: Carrier, id_: int) -> Carrier:
     # ball has the identity.
     place = at.at * joint.at_point * joint.displaced(-joint.q0)
     model = tree.world.model
-    is_limited = model.jnt_limited[id_] and joint.nv == 1
-    limits = model.jnt_range[id_].reshape(2, 1) if is_limited else None
+    limits = None
+    if model.jnt_limited[id_] and joint.nv == 1:
+        limits = model.jnt_range[id_].reshape(2, 1)
+    elif model.jnt_limited[id_] and tree.world.kind(id_) == "ball":
+        limits = limits_of_angle(float(model.jnt_range[id_].max()))
     index = tree.builder.add_joint(
         at.joint, joint.model(), place, joint.name, armature=joint.armature, limits=limits
     )
