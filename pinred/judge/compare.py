@@ -50,7 +50,7 @@ from .step_defects import (
     unresolved_forces,
 )
 from .stop_checks import StopChecks, check_stops, judgeable_until
-from .stop_reference import NEVER, Hit, StoppedFullState, full_state_of
+from .stop_reference import NEVER, Hit, StoppedFullState, first_difference, full_state_of
 from .time_budget import AbaStopped, TimeBudget, default_budget
 from .verdict import Report, Verdict
 
@@ -208,9 +208,12 @@ def _compare(
     motion = FullMotion(x=x[: len(times)], q=q[: len(times)])
     size, error = full.size(reference), full.distance(reference, motion)
     bounds = compute_error_bounds(traj, times, growth, defects, solutions.errors, size, tolerance)
-    until = judgeable_until(solutions.grazes, solutions.until, times, bounds.relative)
-    if until < np.inf:
-        growth[times >= until] = NEVER
+    stops = StopChecks((), (), np.inf)
+    if isinstance(full, StoppedFullState):
+        until = judgeable_until(solutions.grazes, solutions.until, times, bounds.relative)
+        stops = check_stops(traj, full, solutions.hits, until, times, bounds.relative)
+    if stops.until < np.inf:
+        growth[times >= stops.until] = NEVER
         bounds = compute_error_bounds(
             traj, times, growth, defects, solutions.errors, size, tolerance
         )
@@ -223,9 +226,6 @@ def _compare(
             decaying, rates[reported], bounds.relative[:count][reported], tolerance
         ),
     )
-    stops = StopChecks((), ())
-    if isinstance(full, StoppedFullState):
-        stops = check_stops(traj, full, solutions.hits, until, times, bounds.relative)
     audit = audit_trajectory(traj, states)
     drift_bound = max(DRIFT_BOUND * tolerance, 2.0 * bounds.total_defect)
     if not audit.energy <= drift_bound:
@@ -344,6 +344,7 @@ def _integrate_with_stops(
     solution = full.solve_with_stops(y0, times, *tight)
     fine = max(tight[0], GROWTH_TOLERANCE), max(tight[1], 1e-2 * GROWTH_TOLERANCE)
     growth, until = full.growth_with_stops(y0, solution, times, *fine)
+    until = min(until, first_difference(solution.hits, looser.hits, full.slowest))
     size = full.size(solution.motion)
     errors = full.distance(solution.motion, looser.motion).relative(size)
     return _Solutions(

@@ -474,7 +474,9 @@ def _leader(system: System, name: str, x: int, v: int) -> tuple[int, int, float,
     if coupled is None:
         return x, v, 1.0, 0.0
     terms = coupled.terms(v)
-    if len(terms) != 1:
+    if not terms:
+        raise InputError(f"stops: joint '{name}' never moves, by its coupling. Omit its stop")
+    if len(terms) > 1:
         raise InputError(
             f"stops: joint '{name}' follows {len(terms)} joints. Put stops on these joints instead"
         )
