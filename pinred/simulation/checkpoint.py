@@ -131,6 +131,7 @@ def _fingerprint_of(flow: CompiledFlow, plan: Plan) -> str:
     settings = [
         asdict(kernel.structure), forces and forces.key, controllers, events,
         watched and [watched.text, watched.numbers(scene.parameters).tolist()],
+        list(map(repr, scene.bounds)),
     ]  # fmt: skip
     arrays = (flow.y0, flow.parameters, flow.path, plan.stops, scene.report_times)
     digest = sha256(model_bytes(kernel.system, kernel.structure.freed))

@@ -17,7 +17,7 @@ from ..common.arrays import Array
 from ..common.errors import InputError, IntegrationError
 from ..integrators.methods import ErrorControl
 from .plan import Plan
-from .reduced_flow import Segment
+from .reduced_flow import ReducedFlow, Segment
 from .time_resolution import cost_of_all, differ, tolerance_of
 from .trajectory import Trajectory
 
@@ -67,7 +67,8 @@ def resolve_steps(
             the motion.
     """
     runs = [trajectory]
-    plan = plan.limited(np.inf, trajectory.motion.segments.ends[:-1])
+    if not plan.scene.bounds:  # segments of motions with joint stops end at impacts
+        plan = plan.limited(np.inf, trajectory.motion.segments.ends[:-1])
     while (worst := find_defects(plan, runs[-1])).times.size and len(runs) <= _RERUNS:
         plan = plan.limited(np.inf, worst.times)
         runs.append(run(plan))
@@ -107,7 +108,7 @@ def find_defects(plan: Plan, trajectory: Trajectory) -> _Worst:
     ends = np.append(0.0, motion.segments.ends)
     first = np.searchsorted(samples, ends)
     samples_of_segments = [
-        _worst_of(trajectory, segment, samples[first[k] : first[k + 1]], tolerance)
+        _worst_of(motion.flow_of(k), segment, samples[first[k] : first[k + 1]], tolerance)
         for k, segment in enumerate(motion.segments)
         if first[k] < first[k + 1]
     ]
@@ -122,7 +123,7 @@ def _sample_times(end: float) -> Array:
 
 
 def _worst_of(
-    trajectory: Trajectory, segment: Segment, times: Array, tolerance: tuple[float, float]
+    flow: ReducedFlow, segment: Segment, times: Array, tolerance: tuple[float, float]
 ) -> tuple[Array, Array]:
     """Return times and defects of the worst samples of steps with an alarm in one segment."""
     knots = segment.knots
@@ -133,7 +134,7 @@ def _worst_of(
     u = 2.0 * (times - start) / length - 1.0
     y = np.einsum("sd,sdn->sn", np.vander(u, _DEGREE + 1, increasing=True), coefficients[row])
     slopes = np.einsum("sd,sdn->sn", _powers_of_derivative(u), coefficients[row])
-    rates = trajectory.motion.flow.rates(times, y, segment.parameters)
+    rates = flow.rates(times, y, segment.parameters)
     rtol, atol = tolerance
     # 2 (dy/du) is h dy/dt.
     errors = np.abs(2.0 * slopes - length[:, None] * rates) / (atol + rtol * np.abs(y))

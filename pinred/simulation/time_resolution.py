@@ -161,6 +161,8 @@ def differ(first: Trajectory, second: Trajectory) -> bool:
     end = min(first.scene.end, second.scene.end)
     times = np.linspace(0.0, end, _COMPARED + 1)[1:]
     y, other = first.motion.reduced(times), second.motion.reduced(times)
+    if y.shape != other.shape:  # the modes at joint stops are others
+        return True
     scale = first.plan.scene.atol + first.plan.scene.rtol * np.maximum(
         1.0, np.abs(y).max(axis=1, initial=0.0)
     )

@@ -353,15 +353,28 @@ def _of_times(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(run_with_stops._StopSearch, "look", look)
 
 
+class _Loose:
+    """A scene with a loose tolerance, so that impacts within 2 % of its duration happen at once."""
+
+    rtol = 0.02
+
+    def __init__(self, scene: pinred.Scene) -> None:
+        """Store the scene."""
+        self._scene = scene
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._scene, name)
+
+
 def _of_order(patch: pytest.MonkeyPatch) -> None:
     correct = run_with_stops._Run._next
 
-    def resolve_early(self: Any, state: Any, mode: Any, search: Any) -> Any:
-        others = [(search.found[0][0], b) for b in mode.moving if b is not search.found[0][1]]
-        search.found += others[:1]
-        return correct(self, state, mode, search)
+    def together(self: Any, *of: Any) -> Any:
+        with pytest.MonkeyPatch.context() as inner:
+            inner.setattr(self, "scene", _Loose(self.scene))
+            return correct(self, *of)
 
-    patch.setattr(run_with_stops._Run, "_next", resolve_early)
+    patch.setattr(run_with_stops._Run, "_next", together)
 
 
 def _of_reactions(patch: pytest.MonkeyPatch) -> None:
