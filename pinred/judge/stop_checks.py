@@ -56,6 +56,34 @@ def judgeable_until(
     return min([until, *undecided])
 
 
+def contact_errors(traj: Trajectory, full: StoppedFullState, times: Array) -> Array:
+    """Return the sums of the gaps at which earlier impacts happened, relative, (T,).
+
+    Contacts are found in the dense output of steps, which is less accurate than their ends. Gaps
+    are limited to the distance beyond a stop that passes.
+
+    Args:
+        traj: The trajectory.
+        full: Full simulation of its scene.
+        times: Times of the comparison, (T,) [s].
+    """
+    table = traj.impacts
+    if not len(table):
+        return np.zeros(len(times))
+    place = {(row.joint, row.side): k for k, row in enumerate(full.rows)}
+    rows = np.array([place[each] for each in zip(table.joint, table.side, strict=True)])
+    gaps = np.abs(full.gaps(full_states(traj, full, table.t)))[np.arange(len(rows)), rows]
+    units = defect_units(traj, full)[1][[full.rows[k].x for k in rows]]
+    errors = np.cumsum(np.minimum(gaps, _allowed_distances(traj, full)[rows]) / units)
+    return np.append(0.0, errors)[np.searchsorted(table.t, times, side="left")]
+
+
+def _allowed_distances(traj: Trajectory, full: StoppedFullState) -> Array:
+    """Return the largest distances beyond stops that pass, (R,) [rad | m]."""
+    sizes = np.array([max(1.0, abs(row.position)) for row in full.rows])
+    return np.asarray(GAP_BOUND * (traj.scene.atol + traj.scene.rtol * sizes))
+
+
 @dataclass(frozen=True)
 class _Rules:
     """The allowed errors of impacts.
@@ -264,12 +292,7 @@ def _beyond(traj: Trajectory, full: StoppedFullState, times: Array) -> tuple[flo
     """Return the largest distance beyond a stop, and the largest that passes [rad | m]."""
     evaluated = np.unique(np.concatenate([times, traj.motion.knots]))
     least = full.gaps(full_states(traj, full, evaluated)).min(axis=0, initial=np.inf)
-    allowed = np.array(
-        [
-            GAP_BOUND * (traj.scene.atol + traj.scene.rtol * max(1.0, abs(row.position)))
-            for row in full.rows
-        ]
-    )
+    allowed = _allowed_distances(traj, full)
     beyond = np.maximum(-least, 0.0)
     k = int(np.argmax(beyond / allowed))
     return float(beyond[k]), float(allowed[k])

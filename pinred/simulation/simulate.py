@@ -158,8 +158,9 @@ def _simulated(
         if engine == "compiled":
             expect_integration(plan.method)
         refuse_with_stops(plan, checkpoint=checkpoint is not None)
-        options = {"progress": progress, "again": again, "engine": engine}
-        run = partial(run_with_stops, checkpoint=checkpoint, **options)
+        run = partial(
+            run_with_stops, progress=progress, again=again, engine=engine, checkpoint=checkpoint
+        )
     elif engine == "compiled":
         expect_integration(plan.method)  # before the kernels are imported
         from .compiled.run_compiled import run_compiled

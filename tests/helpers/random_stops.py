@@ -57,7 +57,7 @@ def random_stops(seed: int) -> tuple[pinred.System, dict[str, Any]]:
         forces = [[], [_constant(system, rng)], [_spring(system, rng, 3.0)]]
         start["forces"] = list(map(Torque, forces[seed % 3]))
     stops = {
-        name: pinred.Stop(*map(float, limit), float(restitution))
+        name: pinred.Stop(float(limit[0]), float(limit[1]), float(restitution))
         for (name, limit), restitution in zip(limits.items(), e, strict=False)
     }
     return system, start | {"stops": stops}

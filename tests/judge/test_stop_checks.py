@@ -20,6 +20,7 @@ from pinred.judge.stop_reference import Hit, StoppedFullState, full_state_of, ma
 from pinred.judge.verdict import Verdict
 from pinred.simulation import run_with_stops
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
+from pinred.simulation.impacts import impulses
 from pinred.simulation.reduced_flow import Segment
 
 START: dict[str, Any] = {
@@ -311,9 +312,9 @@ def test_grazes_within_the_error_of_positions_end_the_judgement() -> None:
 SCENES = (0, 4, 5, 13, 24)  # a cluster, rests without reaction, an accumulation, and a loop
 
 
-@pytest.mark.parametrize("seed", [4, 5])
+@pytest.mark.parametrize("seed", [4, 5, 135])
 def test_random_scenes_with_stops_have_no_false_alarm(seed: int) -> None:
-    """Joints rest without any reaction, and others push them."""
+    """Joints rest without reaction, and long steps find impacts less accurately."""
     assert_no_false_alarm(seed)
 
 
@@ -332,12 +333,12 @@ def assert_no_false_alarm(seed: int) -> None:
 
 
 def _of_impulses(patch: pytest.MonkeyPatch) -> None:
-    correct = run_with_stops.impulses
+    correct = impulses
     patch.setattr(run_with_stops, "impulses", lambda *of: (1.0 + 1e-4) * correct(*of))
 
 
 def _of_restitution(patch: pytest.MonkeyPatch) -> None:
-    correct = run_with_stops.impulses
+    correct = impulses
     patch.setattr(run_with_stops, "impulses", lambda G, u, e: correct(G, u, 0.999 * e + 5e-4))
 
 

@@ -23,7 +23,7 @@ bend = [-0.6, 0.6]
 sway = [-0.5, 0.5, 0.6]
 """
 CAT = pinred.load("falling_cat")
-STOPS = {"bend": (-0.6, 0.6), "sway": pinred.Stop(-0.5, 0.5, 0.6)}
+STOPS: dict[str, Any] = {"bend": (-0.6, 0.6), "sway": pinred.Stop(-0.5, 0.5, 0.6)}
 SCENE = pinred.Scene(system=CAT, stops=STOPS, xdot0=[3.0, -2.0, 1.0], duration=0.5)
 RATES = {"xdot0": np.array([[3.0, -2.0, 1.0], [2.0, 1.0, 1.0]])}
 ANY = pinred.InputError
