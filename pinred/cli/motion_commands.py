@@ -113,7 +113,7 @@ def run_run(arguments: argparse.Namespace) -> int:
     if scene.bounds:
         from ..simulation.run_with_stops import refuse_with_stops
 
-        refuse_with_stops(plan, check=check, checkpoint=checkpoint is not None)
+        refuse_with_stops(plan, checkpoint=checkpoint is not None)
     if arguments.explain:
         print(explanation)
     elif note := large_angles(scene.given.x[0], scene.system):

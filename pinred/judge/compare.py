@@ -49,8 +49,8 @@ from .step_defects import (
     solve_stiff_steps,
     unresolved_forces,
 )
-from .stop_checks import StopChecks, check_stops, judgeable_until
-from .stop_reference import NEVER, Hit, StoppedFullState, full_state_of
+from .stop_checks import StopChecks, check_stops, contact_errors, judgeable_until
+from .stop_reference import NEVER, Hit, StoppedFullState, first_difference, full_state_of
 from .verdict import Report, Verdict
 
 TIGHTER = 100.0  # ratio of the scene's tolerance to the tolerance of the reference solution
@@ -206,13 +206,22 @@ def _compare(
     x, q = full.couplings.values(states.x), traj.system.sort_q(states.q)
     motion = FullMotion(x=x[: len(times)], q=q[: len(times)])
     size, error = full.size(reference), full.distance(reference, motion)
-    bounds = compute_error_bounds(traj, times, growth, defects, solutions.errors, size, tolerance)
-    until = judgeable_until(solutions.grazes, solutions.until, times, bounds.relative)
-    if until < np.inf:
-        growth[times >= until] = NEVER
-        bounds = compute_error_bounds(
-            traj, times, growth, defects, solutions.errors, size, tolerance
-        )
+    contacts = np.zeros(len(times))
+    if isinstance(full, StoppedFullState):
+        contacts = contact_errors(traj, full, times)
+
+    def bounded() -> ErrorBounds:
+        errors = solutions.errors
+        return compute_error_bounds(traj, times, growth, defects, errors, size, tolerance, contacts)
+
+    bounds = bounded()
+    stops = StopChecks((), (), np.inf)
+    if isinstance(full, StoppedFullState):
+        until = judgeable_until(solutions.grazes, solutions.until, times, bounds.relative)
+        stops = check_stops(traj, full, solutions.hits, until, times, bounds.relative)
+    if stops.until < np.inf:
+        growth[times >= stops.until] = NEVER
+        bounds = bounded()
     count = count_informative_times(bounds.relative, growth)
     rates = compute_rate_errors(traj, full, states, solutions.states)[:count]
     reported = np.isin(times[:count], traj.t)
@@ -222,9 +231,6 @@ def _compare(
             decaying, rates[reported], bounds.relative[:count][reported], tolerance
         ),
     )
-    stops = StopChecks((), ())
-    if isinstance(full, StoppedFullState):
-        stops = check_stops(traj, full, solutions.hits, until, times, bounds.relative)
     audit = audit_trajectory(traj, states)
     drift_bound = max(DRIFT_BOUND * tolerance, 2.0 * bounds.total_defect)
     if not audit.energy <= drift_bound:
@@ -343,6 +349,7 @@ def _integrate_with_stops(
     solution = full.solve_with_stops(y0, times, *tight)
     fine = max(tight[0], GROWTH_TOLERANCE), max(tight[1], 1e-2 * GROWTH_TOLERANCE)
     growth, until = full.growth_with_stops(y0, solution, times, *fine)
+    until = min(until, first_difference(solution.hits, looser.hits, full.slowest))
     size = full.size(solution.motion)
     errors = full.distance(solution.motion, looser.motion).relative(size)
     return _Solutions(
@@ -545,6 +552,7 @@ def compute_error_bounds(
     errors: Array,
     size: Size,
     tolerance: float,
+    contacts: Array | float = 0.0,
 ) -> ErrorBounds:
     """Bound the errors at each time by the accumulated defects times the growth of perturbations.
 
@@ -556,6 +564,7 @@ def compute_error_bounds(
         errors: Errors of the reference, (T,), relative.
         size: Units of errors.
         tolerance: Sum of relative and absolute tolerance.
+        contacts: Sums of the errors with which earlier impacts were found, (T,), relative.
     Returns:
         Bounds at all times.
     """
@@ -575,6 +584,7 @@ def compute_error_bounds(
     sampled = (len(knots) - 1) / len(smooth)  # at most 200 steps are evaluated
     kinked = sampled * float((shares * defects.motion_steps[~smooth]).sum())
     local = steps * per_step + np.where(steps > 0, kinked + dense, 0.0) + _ROUND_OFF * (steps + 1)
+    local += contacts
     local += defects.round_off_rate * times  # round-off of ABA affects the references, too
     floor = RESOLUTION + np.maximum.accumulate(errors)
     relative = _SAFETY * (growth * local + floor)

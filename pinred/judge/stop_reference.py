@@ -177,7 +177,8 @@ class StoppedFullState(FullState):
     Attributes:
         rows: The stops.
         at_rest: Stops at which joints rest in an own integration; None for those of a trajectory.
-        lifted: Speed of impacts that round-off of positions changes [rad/s | m/s].
+        lifted: Speed of impacts that round-off of positions changes, in the last solution but
+            perturbed ones [rad/s | m/s].
     """
 
     def __init__(
@@ -267,6 +268,11 @@ class StoppedFullState(FullState):
         """Return Pinocchio's mass matrix at a configuration, (nv, nv)."""
         return symmetric(pin.crba(self._model, self.system.sorted_data, q))
 
+    def kinetic_energy(self, y: Array) -> float:
+        """Return the kinetic energy at a full state [J]."""
+        v = y[-self.nv :]
+        return float(0.5 * v @ self.mass_matrix(self.q(y)) @ v)
+
     def response(self, q: Array) -> Array:
         """Return the matrix from generalised impulses to changes of the velocity, (nv, nv)."""
         H, C = self.mass_matrix(q), self._constraints
@@ -306,6 +312,7 @@ class StoppedFullState(FullState):
         Raises:
             AbaStopped: The end cannot be reached at this tolerance, or within the budget.
         """
+        self.lifted = 0.0
         run = _HybridRun(self, times, rtol, atol)
         run.integrate(y0)
         return HybridSolution(self._motion(run.states), run.states, run.hits, run.grazes)
@@ -329,10 +336,13 @@ class StoppedFullState(FullState):
             if gap < 0.0 or before <= PERTURBATION:
                 perturbed[row.coordinates] = y0[row.coordinates]
         perturbed = self._apply_couplings(perturbed)
+        lifted = self.lifted
         other = self.solve_with_stops(perturbed, times, rtol, atol)
         distance = self.distance(solution.motion, other.motion).relative(self.size(solution.motion))
         growth = np.maximum.accumulate(np.maximum(1.0, distance / PERTURBATION))
+        self.lifted = max(lifted, self.lifted)
         until = first_difference(solution.hits, other.hits, self.slowest)
+        self.lifted = lifted
         return growth, until
 
     @property
@@ -380,6 +390,7 @@ class _HybridRun:
         self.grazes: list[tuple[float, float]] = []
         self._recent: list[tuple[float, Array, Rows]] = []
         self.states = np.empty((len(times), 0))
+        self._cling = 0.0  # pull of a stop that counts as round-off [N·m | N]
 
     def integrate(self, y: Array) -> None:
         """Integrate to the last time."""
@@ -409,7 +420,7 @@ class _HybridRun:
                 gaps[k] = 1.0
         if not rest:
             return gaps
-        return np.append(gaps, self.full.reactions(t, y, rest))
+        return np.append(gaps, self.full.reactions(t, y, rest) + self._cling)
 
     def _function(self, k: int, dense: Callable[[float], Array], rest: Rows, t: float) -> float:
         return float(self._functions(t, dense(t), rest)[k])
@@ -423,6 +434,7 @@ class _HybridRun:
         solver = DOP853(
             lambda s, z: full.limited_rate(s, z, rest), t, y, reach, rtol=self.rtol, atol=self.atol
         )
+        self._cling = 2.0 * _CLINGING * full.kinetic_energy(y)
         before = self._functions(t, y, rest)
         small = 1e-12 * (1.0 + np.abs(before).max())
         pulls = np.flatnonzero(before[len(full.rows) :] < -small) + len(full.rows)
@@ -476,6 +488,8 @@ class _HybridRun:
     ) -> tuple[Array, Rows]:
         """Return the state after an impact or a release, and the joints that rest."""
         full, y = self.full, y.copy()
+        lifts = np.array([max(_LIFT * abs(row.position), 1e-18) for row in full.rows])
+        touching = tuple({*touching, *np.flatnonzero(full.gaps(y) <= lifts).tolist()} - {*rest})
         first, S = len(y) - full.nv, tuple(sorted({*rest, *touching}))
         self._recent.clear()
         rates = full.rate(t, y)[first:]
@@ -494,7 +508,7 @@ class _HybridRun:
         e = np.array([row.stop.restitution for row in rows])
         usual = complementary(G, (1.0 + e) * u)
         rebound = np.where(usual > 0.0, -e * u, u + G @ usual)
-        scene, energy = full.scene, 0.5 * v @ full.mass_matrix(full.q(y)) @ v
+        scene, energy = full.scene, full.kinetic_energy(y)
         chosen = [
             k
             for k, row in enumerate(rows)

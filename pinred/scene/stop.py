@@ -435,14 +435,14 @@ def number_of_stop(stops: Mapping[str, Stop | BallStop], name: str, what: str) -
     if field not in numbers:
         raise InputError(
             f"{what}: {quoted(name)}: expected one of the numbers {', '.join(numbers)} of a stop, "
-            f"got {quoted(field)}; {nearest(field, numbers)}".rstrip("; ")
+            f"got {quoted(field)}; {nearest(field, list(numbers))}".rstrip("; ")
         )
-    return float(getattr(stops[joint], field))
+    return numbers[field]
 
 
-def numbers_of_stop(stop: Stop | BallStop) -> list[str]:
-    """Return the names of the numbers of a stop."""
-    return [name for name, value in vars(stop).items() if isinstance(value, float)]
+def numbers_of_stop(stop: Stop | BallStop) -> dict[str, float]:
+    """Return the numbers of a stop by name."""
+    return {name: value for name, value in vars(stop).items() if isinstance(value, float)}
 
 
 def changed_stops(
@@ -498,7 +498,10 @@ def bounds_of(system: System, stops: Mapping[str, Stop | BallStop]) -> tuple[Bou
             continue
         joint = joints[name]
         x, v = joint.x.start, joint.v.start
-        if system.coupled is not None and len(system.coupled.terms(v)) > 1:
+        leaders = None if system.coupled is None else system.coupled.terms(v)
+        if leaders is not None and not leaders:
+            raise InputError(f"stops: joint '{name}' never moves, by its coupling. Omit its stop")
+        if leaders is not None and len(leaders) > 1:
             of_sums += _bounds_of_sum(system, name, x, v, stop)
             continue
         x, v, ratio, offset = _leader(system, x, v)
@@ -559,17 +562,21 @@ def _bounds_of_ball(system: System, name: str, stop: BallStop) -> list[Bound]:
 
 
 def stop_numbers(stops: Mapping[str, Stop | BallStop]) -> dict[str, float]:
-    """Return the numbers of stops by name: {"elbow.stop.upper": position, …}; finite ones only.
+    """Return the finite numbers on which motions with stops depend smoothly.
+
+    A rest rate only chooses the rebound at which an accumulation ends.
 
     Args:
         stops: {joint: its stops}.
+    Returns:
+        {"elbow.stop.upper": position, …}; none of balls.
     """
     return {
-        f"{joint}.stop.{kind}": getattr(stop, kind)
+        f"{joint}.stop.{name}": value
         for joint, stop in stops.items()
         if isinstance(stop, Stop)
-        for kind in ("lower", "upper", "restitution")
-        if math.isfinite(getattr(stop, kind))
+        for name, value in numbers_of_stop(stop).items()
+        if name != "rest_rate" and math.isfinite(value)
     }
 
 

@@ -179,6 +179,8 @@ class RunRecord:
         self.follower: Mapping[str, Any] | None = saved.get("follower")
         self._write, self._done = write, list(self.finished)
         self._part: Part | None = None
+        self._count = 0
+        self._state: Callable[[], dict[str, Any]] = dict
         self._follower: Callable[[], dict[str, Any]] = dict
 
     def begin_run(self, follower: Callable[[], dict[str, Any]]) -> None:
@@ -193,6 +195,16 @@ class RunRecord:
         """Start a part; if its run is saved, it continues from there."""
         self._part = part
 
+    def repeat(self, part: Part) -> None:
+        """Start the next part of a run that repeats all its parts; a saved one continues."""
+        saved = [*self.finished, *([self.current] if self.current else [])]
+        self.begin(saved[self._count] if self._count < len(saved) else part)
+        self._count += 1
+
+    def interrupt(self) -> None:
+        """Keep the part, which ended before its end, in its last state."""
+        self.finish(self._state())
+
     def saved(self) -> SavedRun | None:
         """Return the state from which the current part continues; see RunKeeper."""
         assert self._part is not None
@@ -202,6 +214,7 @@ class RunRecord:
         """Write the checkpoint if a save is due; see RunKeeper."""
         part = self._part
         assert part is not None
+        self._state = state
         if part.is_finished:
             return
 
@@ -328,6 +341,7 @@ def _fingerprint_of(flow: CompiledFlow, plan: Plan) -> str:
     settings = [
         asdict(kernel.structure), forces and forces.key, controllers, events,
         watched and [watched.text, watched.numbers(scene.parameters).tolist()],
+        list(map(repr, scene.bounds)),
     ]  # fmt: skip
     arrays = (flow.y0, flow.parameters, flow.path, plan.stops, scene.report_times)
     digest = sha256(model_bytes(kernel.system, kernel.structure.freed))

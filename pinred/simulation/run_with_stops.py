@@ -36,7 +36,9 @@ from ..system.loops.looped_system import loop_jacobian
 from ..system.state_fields import ShapeState, State
 from ..system.system import System
 from .balances import driving_torques
+from .checkpoint import Checkpoint, Part, RunRecord
 from .closed_loops import refuse_singular_loops
+from .compiled.compiled_flow import CompiledFlow
 from .control import Control, ControlAction
 from .events import RootSearch, Watch, cut_at
 from .impacts import (
@@ -394,7 +396,13 @@ class _Contact:
 class _Run:
     """One run with stops."""
 
-    def __init__(self, plan: Plan, progress: Progress | None, engine: StopEngine) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        progress: Progress | None,
+        engine: StopEngine,
+        checkpoint: Checkpoint | None = None,
+    ) -> None:
         self._engine = engine
         self.plan, self.scene, self.bounds = plan, plan.scene, plan.scene.bounds
         self.progress, self.system = progress, plan.system
@@ -412,6 +420,10 @@ class _Run:
         self.watch = None if watched is None else Watch(self.scene, self.first, watched)
         # Force parameters of the scene, which controllers change.
         self._control, self._numbers = Control(self.scene), self.first.numbers.copy()
+        self.record: RunRecord | None = None
+        if checkpoint is not None:
+            assert isinstance(self.first, CompiledFlow)
+            self.record = checkpoint.run(self.first, plan)
 
     def _limited(self, scene: Scene) -> Plan:
         return plan_of(scene).limited(self.plan.longest, self.plan.stops[:-1])
@@ -460,8 +472,12 @@ class _Run:
             own = read_only(self._numbers.copy())
             parameters = read_only(self._commanded(flow, t, stop))
             search = _StopSearch(self.plan, self._engine.degree, mode, flow, own, cling)
-            segment = mode.integrate(t, stop, read_only(y), parameters, search.look)
+            if self.record is not None:
+                self.record.repeat(Part(t, stop, read_only(y), parameters))
+            segment = mode.integrate(t, stop, read_only(y), parameters, search.look, self.record)
             is_hit = search.look(segment)
+            if self.record is not None and segment.end < stop:
+                self.record.interrupt()
             parts = cut_at(search.found[0][0], segment, mode.integrate) if is_hit else [segment]
             if not parts and segment.end == stop <= t + self.scene.rtol * self.scene.end:
                 parts, is_hit = [segment], False  # too short for a gap above round-off
@@ -760,7 +776,11 @@ def _impact(t: float, contact: _Contact, impulse: Array, after: Array) -> Impact
 
 
 def run_with_stops(
-    plan: Plan, progress: Progress | None, again: Again, engine: Engine = "compiled"
+    plan: Plan,
+    progress: Progress | None,
+    again: Again,
+    engine: Engine = "compiled",
+    checkpoint: Checkpoint | None = None,
 ) -> Trajectory:
     """Return the trajectory of a plan whose scene has stops.
 
@@ -769,6 +789,8 @@ def run_with_stops(
         progress: Called repeatedly with the completed fraction of the time, 0 to 1.
         again: Function that simulates the scene again; see Trajectory.
         engine: Name of the engine.
+        checkpoint: Checkpoint that the run continues and updates; or None. All parts are repeated
+            from their saved integrations, which takes little time.
     Returns:
         The trajectory.
     Raises:
@@ -776,32 +798,35 @@ def run_with_stops(
         IntegrationError: The integrator cannot continue, or there are too many impacts.
     """
     with_stops = StopEngine.of(engine, plan)
-    run = _Run(plan, progress, with_stops)
+    run = _Run(plan, progress, with_stops, checkpoint)
     started = time.perf_counter()
     motion = run.motion()
     refuse_singular_loops(plan.system, motion)
     wall = time.perf_counter() - started - run.building  # kernels are built once
+    if checkpoint is not None and run.record is not None:
+        assert isinstance(run.first, CompiledFlow)
+        checkpoint.close(run.record, run.first, plan, cut=motion.ended_by is not None)
     cost = Cost(engine, with_stops.method, motion.steps, motion.evaluations, wall, plan.notices)
     return trajectory_of_motion(plan, motion, cost, again)
 
 
-def refuse_with_stops(plan: Plan, *, check: bool, checkpoint: bool) -> None:
+def refuse_with_stops(plan: Plan, *, checkpoint: bool) -> None:
     """Reject options of a simulation that do not act together with stops.
 
     Args:
         plan: The plan of a scene with stops.
-        check: Whether steps are checked for skipped forces.
         checkpoint: Whether a checkpoint is written.
     Raises:
         InputError: An option does not act together with stops; the message has the remedy.
     """
     method = plan.method
-    refused = {
-        "checkpoint. Omit it": checkpoint,
-        "check. Omit it": check,
-        f"method {method.name}. Use DOP853, Tsit5 or auto": not isinstance(method, ErrorControl)
-        or method.symplectic,
-    }
-    for words, is_refused in refused.items():
-        if is_refused:
-            raise InputError(f"stops: expected none with {words}, or omit stops")
+    if not isinstance(method, ErrorControl) or method.symplectic:
+        raise InputError(
+            f"stops: expected none with method {method.name}, whose steps do not end at impacts. "
+            "Use DOP853, Tsit5, Radau or auto, or omit stops"
+        )
+    if checkpoint and plan.forces is not None and plan.forces.held:
+        raise InputError(
+            "checkpoint: expected no controllers in a scene with stops, because the impacts are "
+            "repeated from the start. Omit checkpoint, or use forces instead of controllers"
+        )

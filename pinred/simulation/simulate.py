@@ -156,8 +156,10 @@ def _simulated(
 
         if engine == "compiled":
             _expect_code(plan)
-        refuse_with_stops(plan, check=check, checkpoint=checkpoint is not None)
-        run = partial(run_with_stops, progress=progress, again=again, engine=engine)
+        refuse_with_stops(plan, checkpoint=checkpoint is not None)
+        run = partial(
+            run_with_stops, progress=progress, again=again, engine=engine, checkpoint=checkpoint
+        )
     elif engine == "compiled":
         _expect_code(plan)  # before the kernels are imported
         from .compiled.integrator import run_compiled

@@ -201,7 +201,7 @@ def run_members(
         elif group.plan.scene.bounds:
             from .run_with_stops import refuse_with_stops
 
-            refuse_with_stops(group.plan, check=False, checkpoint=False)
+            refuse_with_stops(group.plan, checkpoint=False)
     from .compiled.compiled_flow import flows_of
     from .members.integrate_members import integrate_members
     from .members.member_options import reject_singular

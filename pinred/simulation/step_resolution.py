@@ -168,6 +168,8 @@ def differ(first: Trajectory, second: Trajectory) -> bool:
     end = min(first.scene.end, second.scene.end)
     times = np.linspace(0.0, end, _COMPARED + 1)[1:]
     y, other = first.motion.reduced(times), second.motion.reduced(times)
+    if y.shape != other.shape:  # the modes at joint stops are others
+        return True
     scale = first.plan.scene.atol + first.plan.scene.rtol * np.maximum(
         1.0, np.abs(y).max(axis=1, initial=0.0)
     )
@@ -302,7 +304,8 @@ def resolve_steps(
             the motion.
     """
     runs = [trajectory]
-    plan = plan.limited(np.inf, trajectory.motion.segments.ends[:-1])
+    if not plan.scene.bounds:  # segments of motions with joint stops end at impacts
+        plan = plan.limited(np.inf, trajectory.motion.segments.ends[:-1])
     while (worst := find_defects(plan, runs[-1])).times.size and len(runs) <= _RERUNS:
         plan = plan.limited(np.inf, worst.times)
         runs.append(run(plan))
@@ -342,7 +345,7 @@ def find_defects(plan: Plan, trajectory: Trajectory) -> _Worst:
     ends = np.append(0.0, motion.segments.ends)
     first = np.searchsorted(samples, ends)
     samples_of_segments = [
-        _worst_of(trajectory, segment, samples[first[k] : first[k + 1]], tolerance)
+        _worst_of(motion.flow_of(k), segment, samples[first[k] : first[k + 1]], tolerance)
         for k, segment in enumerate(motion.segments)
         if first[k] < first[k + 1]
     ]
@@ -357,7 +360,7 @@ def _sample_times(end: float) -> Array:
 
 
 def _worst_of(
-    trajectory: Trajectory, segment: Segment, times: Array, tolerance: tuple[float, float]
+    flow: ReducedFlow, segment: Segment, times: Array, tolerance: tuple[float, float]
 ) -> tuple[Array, Array]:
     """Return times and defects of the worst samples of steps with an alarm in one segment."""
     knots = segment.knots
@@ -368,7 +371,7 @@ def _worst_of(
     u = 2.0 * (times - start) / length - 1.0
     y = np.einsum("sd,sdn->sn", np.vander(u, _DEGREE + 1, increasing=True), coefficients[row])
     slopes = np.einsum("sd,sdn->sn", _powers_of_derivative(u), coefficients[row])
-    rates = trajectory.motion.flow.rates(times, y, segment.parameters)
+    rates = flow.rates(times, y, segment.parameters)
     rtol, atol = tolerance
     # 2 (dy/du) is h dy/dt.
     errors = np.abs(2.0 * slopes - length[:, None] * rates) / (atol + rtol * np.abs(y))

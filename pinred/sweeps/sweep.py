@@ -260,7 +260,7 @@ def _job(
     if varied.scene.bounds:
         from ..simulation.run_with_stops import refuse_with_stops
 
-        refuse_with_stops(members_plan(varied.scene), check=False, checkpoint=False)
+        refuse_with_stops(members_plan(varied.scene), checkpoint=False)
     sequence = PointSequence.of(chosen, laws, count, whole(seed, "seed", 0))
     size = min(whole(block, "block", 1), count)  # Chunks have the size of a block.
     return SweepJob(varied, sequence, parse_outputs(varied.scene, outputs), size)

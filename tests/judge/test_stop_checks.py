@@ -9,15 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 from hybrid_reference import stops_of
+from random_stops import random_stops
 
 import pinred
+from pinred.common.errors import IntegrationError
 from pinred.forces import Torque
 from pinred.judge import stop_checks
-from pinred.judge.step_defects import defect_units
+from pinred.judge.step_defects import defect_units, full_states
 from pinred.judge.stop_reference import Hit, StoppedFullState, full_state_of, matched
 from pinred.judge.verdict import Verdict
 from pinred.simulation import run_with_stops
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
+from pinred.simulation.impacts import impulses
+from pinred.simulation.reduced_flow import Segment
 
 START: dict[str, Any] = {
     "x0": [0.1, 0.2, -0.1], "xdot0": [3.0, -3.0, 2.0], "xi0": [0.1, 0.2, 0.3, 0.1, 0.5, -0.2],
@@ -186,18 +190,41 @@ def test_bounds_of_times_and_impulses_follow_from_the_bound_of_positions() -> No
             np.testing.assert_allclose(impulse, (0.01 / 1.01, 10.0 * bound * factor), rtol=1e-6)
 
 
-@pytest.mark.parametrize(("parts", "undecided"), [(1.8, True), (2.2, False)])
-def test_order_of_impacts_within_twice_the_error_of_their_times_is_undecided(
-    parts: float, undecided: bool
+@pytest.mark.parametrize(("parts", "is_undecided"), [(0.9, True), (1.1, False)])
+def test_order_of_impacts_within_the_errors_of_their_times_is_undecided(
+    parts: float, is_undecided: bool
 ) -> None:
-    """Only impacts closer than twice the error of their times may be in other order."""
+    """Impacts closer than the sum of both errors may happen in another order."""
     traj, bound = cat(0.6), 1e-7
+    full = full_state_of(traj)
+    assert isinstance(full, StoppedFullState)
+    rules = stop_checks._Rules.of(traj, full, np.linspace(0.0, 1.0, 11), np.full(11, bound))
     first, second, *rest = stop_checks._hits_of(traj.impacts)
     assert first.joint != second.joint
-    earlier = replace(second, t=first.t - parts * bound / max(first.speed, second.speed))
-    checks, reasons = checked_hits(traj, [earlier, first, *rest], bound)
-    assert checks["impacts in other order"] == (float(not undecided), 0.0)
-    assert any("order of the impacts" in reason for reason in reasons) is undecided
+    closest = bound / first.speed + bound / second.speed + traj.scene.rtol
+    own = [first, replace(second, t=first.t + 0.5 * closest), *rest]
+    other = replace(second, t=first.t - parts * closest)
+    pairs, differs, undecided = stop_checks.pair_impacts(own, [other, first, *rest], 1.0, rules)
+    assert not pairs
+    assert (undecided if is_undecided else differs) == other.t
+    assert (differs if is_undecided else undecided) == np.inf
+
+
+def test_impacts_together_or_one_after_the_other_are_undecided() -> None:
+    """Two joints that hit at once have other speeds and impulses than one after the other."""
+    traj = cat(0.6)
+    full = full_state_of(traj)
+    assert isinstance(full, StoppedFullState)
+    rules = stop_checks._Rules.of(traj, full, np.linspace(0.0, 1.0, 11), np.full(11, 1e-7))
+    first, second, *rest = stop_checks._hits_of(traj.impacts)
+    own = [first, replace(second, t=first.t), *rest]
+    slower = replace(own[1], speed=0.9 * second.speed, impulse=0.9 * second.impulse)
+    assert stop_checks.pair_impacts(own, [first, slower, *rest], 1.0, rules)[2] == first.t
+    assert stop_checks.pair_impacts(own, [first, slower, *rest], first.t, rules)[2] == np.inf
+    # A wrong impulse at the right speed is a fault.
+    wrong = replace(own[1], impulse=0.9 * second.impulse)
+    pairs, differs, undecided = stop_checks.pair_impacts(own, [first, wrong, *rest], 1.0, rules)
+    assert (len(pairs), differs, undecided) == (len(own), np.inf, np.inf)
 
 
 @pytest.mark.parametrize(("parts", "undecided"), [(1.8, True), (2.2, False)])
@@ -280,3 +307,125 @@ def test_grazes_within_the_error_of_positions_end_the_judgement() -> None:
     assert stop_checks.judgeable_until([(0.55, 0.59e-6)], np.inf, times, bounds) == 0.55
     assert stop_checks.judgeable_until([(0.55, 0.61e-6)], np.inf, times, bounds) == np.inf
     assert stop_checks.judgeable_until([(0.55, 0.61e-6)], 0.7, times, bounds) == 0.7
+
+
+SCENES = (0, 4, 5, 13, 24)  # a cluster, rests without reaction, an accumulation, and a loop
+
+
+@pytest.mark.parametrize("seed", [4, 5, 135])
+def test_random_scenes_with_stops_have_no_false_alarm(seed: int) -> None:
+    """Joints rest without reaction, and long steps find impacts less accurately."""
+    assert_no_false_alarm(seed)
+
+
+@pytest.mark.by_hand
+@pytest.mark.parametrize("seed", range(84))
+def test_many_random_scenes_with_stops_have_no_false_alarm(seed: int) -> None:
+    """Trees, followers, loops and robots with restitution 0, 0.3, 1 and mixed."""
+    assert_no_false_alarm(seed)
+
+
+def assert_no_false_alarm(seed: int) -> None:
+    """Assert that a correct motion does not fail."""
+    system, options = random_stops(seed)
+    report = pinred.compare(pinred.simulate(system, **options))
+    assert report.verdict is not Verdict.FAILED, report
+
+
+def _of_impulses(patch: pytest.MonkeyPatch) -> None:
+    correct = impulses
+    patch.setattr(run_with_stops, "impulses", lambda *of: (1.0 + 1e-4) * correct(*of))
+
+
+def _of_restitution(patch: pytest.MonkeyPatch) -> None:
+    correct = impulses
+    patch.setattr(run_with_stops, "impulses", lambda G, u, e: correct(G, u, 0.999 * e + 5e-4))
+
+
+def _of_times(patch: pytest.MonkeyPatch) -> None:
+    correct = run_with_stops._StopSearch.look
+
+    def look(self: Any, segment: Segment) -> bool:
+        had, has = bool(self.found), correct(self, segment)
+        if has and not had:
+            self.found = [(min(t + 1e-5, segment.end), bound) for t, bound in self.found]
+        return has
+
+    patch.setattr(run_with_stops._StopSearch, "look", look)
+
+
+class _Loose:
+    """A scene with a loose tolerance, so that impacts within 2 % of its duration happen at once."""
+
+    rtol = 0.02
+
+    def __init__(self, scene: pinred.Scene) -> None:
+        """Store the scene."""
+        self._scene = scene
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._scene, name)
+
+
+def _of_order(patch: pytest.MonkeyPatch) -> None:
+    correct = run_with_stops._Run._next
+
+    def together(self: Any, *of: Any) -> Any:
+        with pytest.MonkeyPatch.context() as inner:
+            inner.setattr(self, "scene", _Loose(self.scene))
+            return correct(self, *of)
+
+    patch.setattr(run_with_stops._Run, "_next", together)
+
+
+def _of_reactions(patch: pytest.MonkeyPatch) -> None:
+    correct = run_with_stops.reactions_of
+    patch.setattr(run_with_stops, "reactions_of", lambda *of: -correct(*of))
+
+
+FAULTS = (_of_impulses, _of_restitution, _of_times, _of_order, _of_reactions)
+
+
+@pytest.mark.by_hand
+@pytest.mark.parametrize("seed", SCENES)
+@pytest.mark.parametrize("plant", FAULTS)
+def test_faults_of_the_simulation_fail(
+    plant: Callable[[pytest.MonkeyPatch], None], seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fault that changes impacts or rests of a random scene fails, or ends the simulation."""
+    system, options = random_stops(seed)
+    correct = pinred.simulate(system, **options)
+    monkeypatch.setattr(run_with_stops, "MOST_IMPACTS", 300)
+    plant(monkeypatch)
+    try:
+        traj = pinred.simulate(system, **options)
+    except IntegrationError:
+        return
+    changes = [correct.impacts.rows != traj.impacts.rows, correct.motion.modes != traj.motion.modes]
+    assert (pinred.compare(traj).verdict is Verdict.FAILED) is any(changes)
+
+
+def test_wrong_impulse_on_a_joint_at_rest_fails() -> None:
+    """Joints that others push have no speed, but an impulse in the table."""
+    traj = cat(0.0, forces=[PRESS])
+    table = traj.impacts
+    k = int(np.flatnonzero(table.rate_before == 0.0)[0])
+    impulse = table.impulse.copy()
+    impulse[k] *= 1.0 + 1e-5
+    vars(traj)["impacts"] = replace(table, impulse=impulse)
+    assert failed(traj) == {"impulse of an impact [relative]"}
+
+
+def test_pull_within_round_off_of_the_energy_passes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without forces, a cyclic joint rests without any reaction but round-off."""
+    system, options = random_stops(5)
+    traj = pinred.simulate(system, **options)
+    full = full_state_of(traj)
+    assert isinstance(full, StoppedFullState)
+    assert any("at its" in label for _, label in traj.motion.modes)
+    y = full_states(traj, full, traj.t)
+    energy = full.totals.kinetic_energy(full.q(y), full.shapes_and_velocities(y)[1]).max()
+    for part, passes in ((0.5, True), (5.0, False)):
+        pull = part * 1e-13 * energy
+        monkeypatch.setattr(StoppedFullState, "reactions", lambda *_, pull=pull: np.array([-pull]))
+        assert (stop_checks._pull(traj, full) == 0.0) is passes

@@ -337,3 +337,37 @@ def test_interrupted_process_continues(tmp_path: Path) -> None:
     subprocess.run(command, cwd=tmp_path, check=True)
     whole = pinred.simulate(pinred.load_scene(scene))
     np.testing.assert_array_equal(pinred.read_recording(tmp_path / "out.npz").q, whole.q)
+
+
+def test_interrupted_run_with_joint_stops_continues_with_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Parts that end at impacts, at rests and at the end are restored, and modes are repeated."""
+    monkeypatch.setattr(run_state, "EVALUATIONS_BETWEEN_PAUSES", 64)
+    cat = pinred.load("falling_cat")
+    restitution = zip(cat.shape_names, (0.0, 0.3, 0.6), strict=True)
+    options: dict[str, Any] = {
+        "x0": [0.1, 0.2, -0.1], "xdot0": [3.0, -3.0, 2.0], "xi0": [0.1, 0.2, 0.3, 0.1, 0.5, -0.2],
+        "forces": [Torque(lambda *_: [0.05, 0.04, -0.02])], "duration": 0.6, "rtol": 1e-11,
+        "stops": {name: pinred.Stop(-0.5, 0.5, e) for name, e in restitution},
+    }  # fmt: skip
+    path = tmp_path / "run.ckpt"
+    whole, counts = pinred.simulate(cat, **options), []
+    for saves in (4, 4):
+        with killed_after(monkeypatch, saves), pytest.raises(Killed):
+            pinred.simulate(cat, **options, checkpoint=path)
+        counts.append(len((read_checkpoint(path) or {})["runs"][0]["finished"]))
+    assert counts[1] > counts[0] > 0
+    assert len(whole.motion.modes) >= 3
+    for _ in range(2):  # the second one reads the checkpoint of a finished run
+        other = pinred.simulate(cat, **options, checkpoint=path)
+        np.testing.assert_array_equal(whole.q, other.q)
+        np.testing.assert_array_equal(whole.v, other.v)
+        assert whole.impacts.rows == other.impacts.rows
+        assert whole.run.steps == other.run.steps
+    stops = options["stops"] | {"bend": pinred.Stop(-0.5, 0.5, 0.1)}
+    with pytest.raises(InputError, match="was written for another scene"):
+        pinred.simulate(cat, **options | {"stops": stops}, checkpoint=path)
+    hold = Controller(lambda *_: [0.0], 0.1, ("bend",))
+    with pytest.raises(InputError, match="checkpoint: expected no controllers in a scene with"):
+        pinred.simulate(cat, **options | {"forces": [hold]}, checkpoint=path)
