@@ -217,11 +217,9 @@ class SdfDocument:
         names = [a or b for a, b in re.findall(r"\[([^\]]+)\]|'([^']+)'", message)]
         elements = [(p, e) for p in dict.fromkeys(self.paths) for e in read_xml(p).iter()]
         for name in names:
-            local_name = name.rpartition("::")[2]  # Drake scopes names, as "model::link".
-            using = [(path, e) for path, e in elements if local_name in e.attrib.values()]
-            named = [
-                (path, e) for path, e in using if e.tag in _NAMED and e.get("name") == local_name
-            ]
+            bare = name.rpartition("::")[2]  # Drake scopes names, as "model::link".
+            using = [(path, e) for path, e in elements if bare in e.attrib.values()]
+            named = [(path, e) for path, e in using if e.tag in _NAMED and e.get("name") == bare]
             places = named or using
             if len(places) == 1 or (named and message.startswith("Non-unique")):
                 return f"{plain_path(places[-1][0])}, line {line_of(places[-1][1])}"
