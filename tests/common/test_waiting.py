@@ -19,12 +19,11 @@ from nbclient import NotebookClient
 from numba import njit
 
 import pinred
-
-from ...pinred.common import waiting
-from ...pinred.common.compile_notice import notice_of_compiling
-from ...pinred.common.waiting import ProgressBar, Wait, shown
-from ...pinred.integrators.stepping import numba_functions, numba_notice
-from ...pinred.sweeps.sweep import PointsDone
+from pinred.common import waiting
+from pinred.common.compile_notice import notice_of_compiling
+from pinred.common.waiting import ProgressBar, Wait, shown
+from pinred.integrators.stepping import numba_functions, numba_notice
+from pinred.sweeps.sweep import PointsDone
 
 ROOT = Path(__file__).parents[2]
 

@@ -13,11 +13,10 @@ from tampering import offset, tampered
 from trees import random_model
 
 import pinred
-
-from ...pinred import forces
-from ...pinred.common.arrays import Array
-from ...pinred.judge import audit as module
-from ...pinred.judge.audit import (
+from pinred import forces
+from pinred.common.arrays import Array
+from pinred.judge import audit as module
+from pinred.judge.audit import (
     Accelerations,
     Audit,
     accelerations,
@@ -25,7 +24,7 @@ from ...pinred.judge.audit import (
     audit_trajectory,
     equation_errors,
 )
-from ...pinred.judge.reference_solution import FullState
+from pinred.judge.reference_solution import FullState
 
 
 @cache

@@ -15,20 +15,19 @@ from robot_texts import joint, link, robot, write
 from trees import random_model
 
 import pinred
-
-from ...pinred.common.arrays import Array
-from ...pinred.judge import full_system as module
-from ...pinred.judge.full_system import (
+from pinred.common.arrays import Array
+from pinred.judge import full_system as module
+from pinred.judge.full_system import (
     Configuration,
     CouplingConstraints,
     RootMotion,
     loop_errors,
     root_motion,
 )
-from ...pinred.judge.reference_solution import FullState
-from ...pinred.lie import GROUPS
-from ...pinred.system.loops.kinematics import LoopKinematics
-from ...pinred.system.state_fields import State
+from pinred.judge.reference_solution import FullState
+from pinred.lie import GROUPS
+from pinred.system.loops.kinematics import LoopKinematics
+from pinred.system.state_fields import State
 
 
 def rate_of(root: RootMotion, at: Array, v: Array) -> Array:

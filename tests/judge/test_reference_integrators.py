@@ -17,11 +17,10 @@ from scipy.integrate import ode
 from tampering import offset, tampered
 
 import pinred
-
-from ...pinred.common.arrays import Array
-from ...pinred.judge import reference_integrators
-from ...pinred.judge.compare import _compare
-from ...pinred.judge.reference_integrators import (
+from pinred.common.arrays import Array
+from pinred.judge import reference_integrators
+from pinred.judge.compare import _compare
+from pinred.judge.reference_integrators import (
     NODES,
     AbaStopped,
     Hairer,
@@ -31,8 +30,8 @@ from ...pinred.judge.reference_integrators import (
     jacobian,
     spectral_radius,
 )
-from ...pinred.judge.reference_solution import FINEST, FullState
-from ...pinred.judge.verdict import Verdict
+from pinred.judge.reference_solution import FINEST, FullState
+from pinred.judge.verdict import Verdict
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,10 @@ import pytest
 from tampering import tampered
 
 import pinred
-
-from ...pinred.common.arrays import Array
-from ...pinred.judge import step_defects as module
-from ...pinred.judge.reference_solution import FullState, Solution
-from ...pinred.judge.step_defects import (
+from pinred.common.arrays import Array
+from pinred.judge import step_defects as module
+from pinred.judge.reference_solution import FullState, Solution
+from pinred.judge.step_defects import (
     Defects,
     Quadrature,
     _sampled_steps,
@@ -30,7 +29,7 @@ from ...pinred.judge.step_defects import (
     node_times,
     reference_errors,
 )
-from ...pinred.laboratory.stress.reference_motions import single
+from pinred.laboratory.stress.reference_motions import single
 
 RTOL, ATOL, END = 1e-9, 1e-11, 0.5
 JUMP = 1e-3
