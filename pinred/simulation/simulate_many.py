@@ -19,8 +19,13 @@ from ..scene.scene_options import SceneOptions
 from ..system.system import System, checked_system
 from .compiled.code_ahead import expect_members
 from .members.member_groups import Group, Members, of_scenes
-from .members.member_options import MemberOptions
-from .members.rejected_members import INVALID, Invalid, separate_rejected, warn_of_rejected
+from .members.member_options import (
+    INVALID,
+    Invalid,
+    MemberOptions,
+    separate_rejected,
+    warn_of_rejected,
+)
 from .members.trajectories import Batch, Failure, Trajectories
 from .simulate import free_joints_notice, trajectory_of
 from .trajectory import Trajectory

@@ -16,8 +16,7 @@ from ..common.cpu_target import cpu_target
 from ..common.errors import LoopWarning, ShapeError
 from ..common.names import quoted
 from ..scene.scene import Scene
-from ..simulation.members.member_options import MemberOptions
-from ..simulation.members.rejected_members import separate_all_rejected
+from ..simulation.members.member_options import MemberOptions, separate_all_rejected
 from ..simulation.members.trajectories import Trajectories
 from ..simulation.simulate_many import run_members, simulate_many
 from ..simulation.trajectory import Trajectory
