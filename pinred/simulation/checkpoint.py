@@ -149,4 +149,4 @@ def _fingerprint_of_environment() -> str:
     folders = [package / name for name in ("integrators", "simulation", "forces")]
     files = sorted(path for folder in folders for path in folder.rglob("*.py"))
     sources = b"".join(path.read_bytes() for path in files)
-    return cache_key(sources, version("numba"), version("numpy"))
+    return cache_key(sources, version("numpy"))

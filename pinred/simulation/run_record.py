@@ -42,7 +42,6 @@ class Part:
     def of(cls, saved: Mapping[str, Any]) -> Part:
         """Return a saved part."""
         part = cls(**saved)
-        # Arrays of files are writable, for which numba would compile another version.
         return replace(part, y0=read_only(part.y0), parameters=read_only(part.parameters))
 
 

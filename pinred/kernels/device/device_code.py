@@ -33,11 +33,12 @@ from ...common.optional_packages import install_command
 from ...integrators.integrate import begun_by
 from ...integrators.integrate_many import Solutions, checked_batch, solutions
 from ...integrators.methods.method import Explicit, Method, stepper_of
-from ...integrators.stepping.argument_types import argument_type, plain_value
+from ...integrators.stepping.argument_types import argument_type
 from ...integrators.stepping.call_wrapper import COMPILED
 from ...integrators.stepping.codes import PAUSED
 from ...integrators.stepping.run_state import LAYOUT, NOT_CANONICAL, new_run
-from ...integrators.stepping.shipped_code import find_shipped, shipped_name
+from ...integrators.stepping.shipped_code import shipped_name
+from ...integrators.stepping.wrapped_code import bitcode_of
 from ..build import model_bytes
 from ..kernel import Kernel
 from ..machine.lowering import lower
@@ -326,23 +327,9 @@ def _bitcode(advance: Any) -> bytes:
     numbers, rows = np.zeros(2), np.zeros((2, 2))
     fixed = read_only(np.zeros(2))
     arguments = (new_run(), fixed, rows, fixed, rows, numbers, rows)
-    kinds = tuple(argument_type(plain_value(argument)) for argument in arguments)
-    shipped = find_shipped(shipped_name(advance.py_func, kinds, advance.stamp))
-    if shipped is not None:
-        return shipped.module
-    from numba import typeof
-    from numba.core.caching import NullCache
-
-    from ...integrators.stepping.numba_functions import make_dispatcher
-    from ...integrators.stepping.portable_code import extract_bitcode
-
-    dispatcher = make_dispatcher(advance.py_func, advance.stamp, inline=False)
-    vars(dispatcher)["_cache"] = NullCache()  # objects in caches contain no bitcode
-    signature = tuple(map(typeof, arguments))
-    dispatcher.compile(signature)
-    bitcode = extract_bitcode(dispatcher.overloads[signature])
-    assert bitcode is not None, "step loops need no objects of Python"
-    return bitcode.module
+    types = tuple(kind for kind in map(argument_type, arguments) if kind is not None)
+    name = shipped_name(advance.py_func, types, advance.stamp)
+    return bitcode_of(advance, name, types).module
 
 
 def _with_direct_calls(ir: str) -> str:

@@ -1,4 +1,4 @@
-"""Time of first calls with empty caches, with shipped machine code and by compilation."""
+"""Time of first calls with empty caches."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
@@ -19,10 +18,10 @@ from ...common.errors import InputError
 from ...common.progress import Progress, one_by_one
 from .timing import TimingRow
 
-_ROUNDS = 3  # number of processes with shipped code; compilations are measured once
+_ROUNDS = 3  # number of processes
 _DURATION = 0.5  # of the motions [s]
 _ROBOT = "falling_cat"
-_PROGRAM = "from {module} import print_time; print_time({call!r}, shipped={shipped})"
+_PROGRAM = "from {module} import print_time; print_time({call!r})"
 
 
 def _simulate(system: Any, method: str = "auto") -> Any:
@@ -67,33 +66,15 @@ class FirstCall(TimingRow):
 
     Attributes:
         call: The call.
-        shipped: Median time with the machine code that the package ships [s].
-        compiled: Time without it, when numba compiles the integrators [s].
-        loads_numba: Whether the call with shipped code loads numba.
+        seconds: Median time, with machine code generated from the package's bitcode [s].
     """
 
-    ROW = "{call:<20} {shipped:>12.2f} {compiled:>13.2f} {ratio:>7.1f}  {numba}"
-    TITLES: ClassVar[Mapping[str, str]] = {
-        "call": "first call",
-        "shipped": "shipped [s]",
-        "compiled": "compiled [s]",
-    }
+    ROW = "{call:<20} {seconds:>8.2f}"
+    TITLES: ClassVar[Mapping[str, str]] = {"call": "first call", "seconds": "time [s]"}
     FILE = "first_calls"
 
     call: str
-    shipped: float
-    compiled: float
-    loads_numba: bool
-
-    @property
-    def ratio(self) -> float:
-        """Time without shipped code divided by the time with it."""
-        return self.compiled / self.shipped
-
-    @property
-    def numba(self) -> str:
-        """Whether the call with shipped code loads numba, as text."""
-        return "loaded" if self.loads_numba else "not loaded"
+    seconds: float
 
 
 @checks_arguments
@@ -115,17 +96,14 @@ def bench_first_calls(
         raise InputError(f"no call '{unknown[0]}'; the calls are {', '.join(CALLS)}")
 
     def measure(name: str) -> FirstCall:
-        results = [_in_fresh_process(name, shipped=True) for _ in range(_ROUNDS)]
-        compiled, _ = _in_fresh_process(name, shipped=False)
-        seconds, loaded = zip(*results, strict=True)
-        return FirstCall(name, float(np.median(seconds)), compiled, any(loaded))
+        return FirstCall(name, float(np.median([_in_fresh_process(name) for _ in range(_ROUNDS)])))
 
     return one_by_one(names, measure, progress, "calls")
 
 
-def _in_fresh_process(call: str, *, shipped: bool) -> tuple[float, bool]:
-    """Return the time of a call in a process with an empty cache, and whether it loaded numba."""
-    program = _PROGRAM.format(module=__name__, call=call, shipped=shipped)
+def _in_fresh_process(call: str) -> float:
+    """Return the time of a call in a process with an empty cache [s]."""
+    program = _PROGRAM.format(module=__name__, call=call)
     with TemporaryDirectory() as cache:
         # Installed packages contain bytecode, so the processes write and read it.
         settings = {"PINRED_CACHE_DIR": cache, "PYTHONDONTWRITEBYTECODE": ""}
@@ -133,23 +111,14 @@ def _in_fresh_process(call: str, *, shipped: bool) -> tuple[float, bool]:
             [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, check=True,
             env={**os.environ, **settings},
         )  # fmt: skip
-    seconds, loaded = done.stdout.split()
-    return float(seconds), loaded == "True"
+    return float(done.stdout)
 
 
-def print_time(call: str, *, shipped: bool) -> None:
-    """Print the time of a call in this process, and whether numba is loaded afterwards.
-
-    Args:
-        call: Name of the call, one of CALLS.
-        shipped: Whether to use the shipped machine code.
-    """
-    from ...integrators.stepping import shipped_code
+def print_time(call: str) -> None:
+    """Print the time of a call, one of CALLS, in this process [s]."""
     from ...system.load import load
 
-    if not shipped:
-        shipped_code.FOLDER = Path(os.devnull)
     system = load(_ROBOT)
     began = time.perf_counter()
     CALLS[call](system)
-    print(time.perf_counter() - began, "numba" in sys.modules)
+    print(time.perf_counter() - began)
