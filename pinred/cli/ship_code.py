@@ -32,7 +32,6 @@ from ..integrators.stepping import shipped_code
 from ..integrators.stepping.argument_types import ArgumentType
 from ..integrators.stepping.shipped_code import Bitcode
 from ..judge.compare import compare
-from ..laboratory.bench.flow_timing import kernel_repetitions
 from ..simulation.flow_map.flow import flow
 from ..simulation.simulate import simulate
 from ..simulation.simulate_many import simulate_many
@@ -156,6 +155,8 @@ def _in_parts(system: System, method: str) -> Any:
 
 def _uncommon(system: System) -> Any:
     """Read a batch, prescribe a joint, linearise a motion, and integrate along a gait."""
+    from ..laboratory.bench.flow_timing import kernel_repetitions
+
     driven: dict[str, Any] = {
         "duration": _DURATION,
         "prescribed": {system.space.names[0]: "0.1*sin(t)"},
