@@ -50,7 +50,7 @@ def add_bench_arguments(sub: argparse.ArgumentParser) -> None:
     add("scaling", "one kernel evaluation for chains of 5 to 100 joints")
     add("floquet", "Floquet multipliers by three routes against a closed form")
     add("compare", "time of comparisons, and of one integration by ABA", "scenes", "all installed")
-    add("first", "first calls with empty caches: shipped code, and compilation", "calls", "all")
+    add("first", "first calls with empty caches", "calls", "all")
     add("films", "processor time of a film's frame", "robots", "four")
     add("loops", "gaps of closed loops in MuJoCo, whose constraints are soft, and in pinred")
     text = "joint stops of MuJoCo, which are soft, of Drake's discrete solver, and of pinred"

@@ -1,7 +1,7 @@
 """`python -m pinred.cli.ship_code`: write the bitcode of compiled functions that the package ships.
 
-Run it after a change of the integrators or of any other compiled function, and once for each new
-version of numba or llvmlite; `--check` compares instead.
+Run it after a change of the integrators or of any other compiled function; `--check` compares
+instead.  It installs the compiler in a temporary folder, so every machine writes the same bitcode.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numba.core import event as events
 
 from ..analysis.gaits.gait import Gait
 from ..analysis.phases.phase import phase
+from ..analysis.stability.linearised_flow import linearised_flow
 from ..common.errors import InputError
 from ..forces.kinds import Torque
 from ..forces.signals.tabulated import Hold
 from ..integrators.methods import DOP853, METHODS, Explicit, Tsit5
 from ..integrators.stepping import shipped_code
-from ..integrators.stepping.code_cache import CodeCache
-from ..integrators.stepping.portable_code import extract_bitcode
+from ..integrators.stepping.argument_types import ArgumentType
+from ..integrators.stepping.shipped_code import Bitcode
 from ..judge.compare import compare
 from ..kernels.device.device_code import loop_arguments
 from ..kernels.device.few_rows import stepper_with_few_rows
@@ -44,7 +44,9 @@ from ..views.playback.film_frames import Frames
 from ..views.playback.view_options import FILM_FPS, View
 from .warm_caches import warm_caches
 
-_PASSES = 5  # limit on the number of processes
+# The compiler of all shipped bitcode.  Newer versions of LLVM read bitcode of this one, the oldest
+# that pinred supports, but not conversely.
+COMPILER = ("numba==0.65.1", "llvmlite==0.47.0")
 _DURATION = 0.02  # of all simulations [s]
 
 
@@ -62,7 +64,7 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--once", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args(words)
     if options.once:
-        print(compile_missing(options.into))
+        compile_missing(options.into)
         return 0
     with TemporaryDirectory() as temporary:
         build(Path(temporary))
@@ -77,25 +79,20 @@ def main(words: list[str] | None = None) -> int:
 
 
 def build(folder: Path) -> None:
-    """Write the bitcode of all functions that common calls compile.
-
-    A function that was compiled for another one first is compiled by a later process.  The last
-    process finds all bitcode, so it compiles nothing.
+    """Write the bitcode of all functions that common calls compile, with COMPILER.
 
     Args:
         folder: Folder of shipped bitcode.
-    Raises:
-        RuntimeError: Processes with all bitcode still compile.
     """
-    for _ in range(_PASSES):
-        with TemporaryDirectory() as cache:
-            done = subprocess.run(
-                [sys.executable, "-m", __spec__.name, "--once", "--into", str(folder)],
-                env={**os.environ, "PINRED_CACHE_DIR": cache}, stdout=subprocess.PIPE, check=True,
-            )  # fmt: skip
-        if int(done.stdout) == 0:
-            return
-    raise RuntimeError(f"functions were compiled in each of {_PASSES} processes")
+    with TemporaryDirectory() as cache, TemporaryDirectory() as compiler:
+        install = [sys.executable, "-m", "pip", "install", "--quiet", "--target", compiler]
+        subprocess.run([*install, *COMPILER], check=True)
+        package = str(Path(__file__).parent.parent.parent)
+        path = os.pathsep.join([compiler, package, os.environ.get("PYTHONPATH", "")])
+        subprocess.run(
+            [sys.executable, "-m", __spec__.name, "--once", "--into", str(folder)],
+            env={**os.environ, "PINRED_CACHE_DIR": cache, "PYTHONPATH": path}, check=True,
+        )  # fmt: skip
 
 
 def find_differences(new: Path, shipped: Path) -> list[str]:
@@ -106,36 +103,31 @@ def find_differences(new: Path, shipped: Path) -> list[str]:
 
 
 def _files(root: Path) -> Iterator[Path]:
-    return (file for file in (root / shipped_code.environment()).glob("*") if file.is_file())
+    return (file for file in root.glob("*") if file.is_file())
 
 
-def compile_missing(folder: Path) -> int:
+def compile_missing(folder: Path) -> None:
     """Run common calls, and write the bitcode of functions that they compile.
 
     Args:
         folder: Folder of shipped bitcode.
-    Returns:
-        The number of functions compiled.
     """
+    from ..integrators.stepping import numba_functions
+
     shipped_code.FOLDER = folder
+    compile_bitcode = numba_functions.compile_bitcode
+
+    def compile_and_write(function: Any, name: str, types: tuple[ArgumentType, ...]) -> Bitcode:
+        bitcode = compile_bitcode(function, name, types)
+        shipped_code.write_shipped(name, bitcode)
+        return bitcode
+
+    numba_functions.compile_bitcode = compile_and_write
     system = load("falling_cat")
-    with events.install_recorder("numba:compile") as record:
-        for call in _calls(system):
-            call()
-        for _ in warm_caches(system):
-            pass
-    depth = count = 0
-    for _, event in record.buffer:
-        depth += 1 if event.is_start else -1
-        dispatcher = event.data["dispatcher"]
-        store = vars(dispatcher).get("_cache")
-        if event.is_start and depth == 1 and isinstance(store, CodeCache):
-            arguments = tuple(event.data["args"])
-            bitcode = extract_bitcode(dispatcher.overloads[arguments])
-            if bitcode is not None:
-                shipped_code.write_shipped(store.shipped_name(arguments), bitcode)
-                count += 1
-    return count
+    for call in _calls(system):
+        call()
+    for _ in warm_caches(system):
+        pass
 
 
 def _calls(system: System) -> Iterator[Callable[[], Any]]:
@@ -143,6 +135,7 @@ def _calls(system: System) -> Iterator[Callable[[], Any]]:
     for name, kind in METHODS.items():
         method = name if kind.adaptive else f"{name}(0.01)"
         yield partial(_between, system, method)
+        yield partial(_in_parts, system, method)
         yield partial(simulate_many, system, seeds=range(8), times=[_DURATION], method=method)
         yield partial(_derivatives, system, method)
     yield lambda: compare(simulate(system, seed=1, duration=_DURATION))
@@ -158,22 +151,30 @@ def _between(system: System, method: str) -> Any:
     return simulate(system, seed=1, duration=_DURATION, method=method)(np.array([0.7 * _DURATION]))
 
 
+def _in_parts(system: System, method: str) -> Any:
+    """Hold a torque piecewise, so that the motion has two parts."""
+    torque = Torque({system.space.names[0]: Hold([0.0, 0.5 * _DURATION], [1.0, 0.0])})
+    return simulate(system, seed=1, duration=_DURATION, method=method, forces=[torque])
+
+
 def _uncommon(system: System) -> Any:
-    """Read a batch, prescribe a joint, hold a torque piecewise, and integrate along a gait."""
-    joint, *further = system.space.names
-    torque = Torque({further[0]: Hold([0.0, 0.5 * _DURATION], [1.0, 0.0])})
+    """Read a batch, prescribe a joint, linearise a motion, and integrate along a gait."""
+    from ..laboratory.bench.flow_timing import kernel_repetitions
+
     driven: dict[str, Any] = {
         "duration": _DURATION,
-        "prescribed": {joint: "0.1*sin(t)"},
+        "prescribed": {system.space.names[0]: "0.1*sin(t)"},
         "hold": "free",
     }
-    simulate(system, **driven, forces=[torque])
     compare(simulate(system, **driven))
     # The kernel of a rigid body is small enough for the larger number of lanes.
     body = load("rigid_body")
     for method in (name for name, kind in METHODS.items() if issubclass(kind, Explicit)):
         simulate_many(body, seeds=range(8), times=[_DURATION], method=method)
     corners = 0.1 * np.eye(3, system.m)
+    linearised_flow(simulate(system, seed=1, duration=_DURATION)).advance(_DURATION)
+    for repeat in kernel_repetitions(flow(system, wrt=["x0"], seed=1, duration=_DURATION)):
+        repeat(1)
     return (
         simulate_many(system, seeds=range(8), times=[_DURATION]).x,
         phase(system, Gait.waypoints(corners)),

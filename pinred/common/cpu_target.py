@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import platform
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import llvmlite.binding as llvm
 
@@ -92,15 +92,3 @@ def _target_named(name: str) -> CPUTarget:
             f"{', '.join(missing)} are missing. Use the newest level that all machines have"
         )
     return CPUTarget(name, "", name in _WITH_FMA)
-
-
-def pin_numba(config: Any) -> None:
-    """Set numba's CPU to the one that PINRED_CPU names, unless NUMBA_CPU_NAME is set.
-
-    Args:
-        config: The module `numba.config`.
-    Raises:
-        InputError: As for `cpu_target`.
-    """
-    if os.environ.get(VARIABLE) and not os.environ.get("NUMBA_CPU_NAME"):
-        config.CPU_NAME, config.CPU_FEATURES, _ = cpu_target()

@@ -128,6 +128,21 @@ def _parts(code: bytes) -> Iterator[bytes]:
         at += _MEMBER + size + size % 2
 
 
+def parse_bitcode(code: bytes, context: llvm.ContextRef) -> llvm.ModuleRef:
+    """Parse bitcode that names no CPU, and retarget it to this machine.
+
+    Args:
+        code: LLVM bitcode, from any machine on which integers and pointers have 64 bits.
+        context: The context of the module.
+    Returns:
+        The module.
+    """
+    machine = create_machine(1)
+    module = llvm.parse_bitcode(code, context)
+    module.triple, module.data_layout = machine.triple, str(machine.target_data)
+    return module
+
+
 def emit_object(machine: llvm.TargetMachine, module: llvm.ModuleRef) -> bytes:
     """Generate object code, at the same time as other threads.
 

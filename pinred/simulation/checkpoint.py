@@ -154,7 +154,6 @@ class Part:
     def of(cls, saved: Mapping[str, Any]) -> Part:
         """Return a saved part."""
         part = cls(**saved)
-        # Arrays of files are writable, for which numba would compile another version.
         return replace(part, y0=read_only(part.y0), parameters=read_only(part.parameters))
 
 
@@ -360,4 +359,4 @@ def _fingerprint_of_environment() -> str:
     folders = [package / name for name in ("integrators", "simulation", "forces")]
     files = sorted(path for folder in folders for path in folder.rglob("*.py"))
     sources = b"".join(path.read_bytes() for path in files)
-    return cache_key(sources, version("numba"), version("numpy"))
+    return cache_key(sources, version("numpy"))

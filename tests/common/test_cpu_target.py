@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-import os
 import platform
-import subprocess
-import sys
 from pathlib import Path
 
 import casadi as ca
@@ -76,41 +73,6 @@ def test_unknown_or_unsupported_level_is_refused(monkeypatch: pytest.MonkeyPatch
     with pytest.raises(InputError, match=r"got 'x86-64-v4', but .*avx512f"):
         cpu_target()
     targets._target_named.cache_clear()
-
-
-@on_x86
-def test_numba_compiles_for_the_same_cpu() -> None:
-    """The integrators are compiled for PINRED_CPU."""
-    code = (
-        "import pinred.integrators.stepping.numba_functions\n"
-        "from numba.core.registry import cpu_target\n"
-        "_, name, features = cpu_target.target_context.codegen().magic_tuple()\n"
-        "print(name, features, '', sep='|')"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, env=os.environ | {"PINRED_CPU": "x86-64-v2"},
-        text=True, capture_output=True, check=True,
-    )  # fmt: skip
-    assert done.stdout.strip() == "x86-64-v2||"
-
-
-class Config:
-    """Settings of numba."""
-
-    CPU_NAME: str | None = None
-    CPU_FEATURES: str | None = None
-
-
-def test_numba_cpu_name_has_precedence(monkeypatch: pytest.MonkeyPatch) -> None:
-    """NUMBA_CPU_NAME is kept, and without PINRED_CPU nothing is set."""
-    config = Config()
-    monkeypatch.setenv("PINRED_CPU", "x86-64-v2")
-    monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
-    targets.pin_numba(config)
-    monkeypatch.delenv("PINRED_CPU")
-    monkeypatch.delenv("NUMBA_CPU_NAME")
-    targets.pin_numba(config)
-    assert (config.CPU_NAME, config.CPU_FEATURES) == (None, None)
 
 
 def test_code_of_all_levels_agrees_and_is_cached_apart(monkeypatch: pytest.MonkeyPatch) -> None:

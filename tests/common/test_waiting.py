@@ -16,13 +16,11 @@ import nbformat
 import numpy as np
 import pytest
 from nbclient import NotebookClient
-from numba import njit
 
 import pinred
 from pinred.common import waiting
 from pinred.common.compile_notice import notice_of_compiling
 from pinred.common.waiting import ProgressBar, Wait, shown
-from pinred.integrators.stepping import numba_functions, numba_notice
 from pinred.sweeps.sweep import PointsDone
 
 ROOT = Path(__file__).parents[2]
@@ -228,32 +226,8 @@ def test_thread_ends_without_waits(monkeypatch: pytest.MonkeyPatch) -> None:
         assert waiting._watcher is None
 
 
-@pytest.mark.usefixtures("watched")
-@pytest.mark.parametrize(("package", "count"), [("pinred", 1), ("elsewhere", 0)])
-def test_compilations_of_numba_are_announced_for_functions_of_pinred(
-    package: str, count: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One wait for a function and the function that it calls; none for those of others."""
-    seen: list[str] = []
-
-    def spy(what: str) -> Wait:
-        seen.append(what)
-        return notice_of_compiling(what)
-
-    monkeypatch.setattr(numba_notice, "notice_of_compiling", spy)
-
-    def inner(x: float) -> float:
-        return x + 1.0
-
-    def outer(x: float) -> Any:
-        return called(x) * 2.0
-
-    inner.__module__ = outer.__module__ = f"{package}.module"
-    called: Any = njit(inner)
-    compiled: Any = njit(outer)
-    assert compiled(1.0) == 4.0
-    assert len(seen) == count
-    assert numba_functions.__name__.startswith(f"{numba_notice._PACKAGE}.")
+def test_compilations_are_announced() -> None:
+    """The notice names what is compiled, and says that the result is kept."""
     with notice_of_compiling("the equations of 'cat'") as wait:
         assert str(wait._what).startswith("compiles the equations of 'cat'; the next process")
 

@@ -255,25 +255,15 @@ def _compile_again(path: str) -> None:
         path: Path of the source file.
     """
     from pinred.integrators.stepping import compiled_function  # the copy with the mutants
-    from pinred.integrators.stepping.code_cache import CodeCache
 
-    load, save = CodeCache.load_overload, CodeCache.save_overload
     module = vars(compiled_function)
-    load_shipped = module["load_shipped"]
+    shipped_name = module["shipped_name"]
 
-    def load_unless(self: CodeCache, sig: Any, target_context: Any) -> Any:
-        return None if _depends(self.function, path) else load(self, sig, target_context)
+    def name_of_mutant(function: Any, *details: Any) -> str:
+        name: str = shipped_name(function, *details)
+        return f"{name}-{os.getpid()}" if _depends(function, path) else name
 
-    def save_unless(self: CodeCache, sig: Any, data: Any) -> None:
-        if not _depends(self.function, path):
-            save(self, sig, data)
-
-    def load_shipped_unless(function: Any, *details: Any) -> Any:
-        return None if _depends(function, path) else load_shipped(function, *details)
-
-    module["load_shipped"] = load_shipped_unless
-    CodeCache.load_overload = load_unless  # type: ignore[method-assign]
-    CodeCache.save_overload = save_unless  # type: ignore[method-assign]
+    module["shipped_name"] = name_of_mutant
 
 
 def _depends(value: object, path: str) -> bool:

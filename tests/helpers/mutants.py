@@ -239,7 +239,7 @@ class Copy:
                 os.environ["PYTHONPATH"] = str(self.root)
                 sys.path.insert(0, str(self.root))
                 # Integrators stay in the folder that is set at this import.
-                importlib.import_module("pinred.integrators.stepping.code_cache")
+                importlib.import_module("pinred.integrators.stepping.wrapped_code")
                 os.environ.update(environment)
                 slow = [] if self._slow else ["-m", "not slow"]
                 options = ["-q", "-x", "-s", *slow, "-p", "no:cacheprovider"]

@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 import llvmlite.binding as llvm
 import numpy as np
 import pytest
-from numba import typeof
 
+from pinred.common.errors import UnsupportedOperationError
 from pinred.common.machine_code import create_machine, load_object
 from pinred.common.object_cache import ObjectCache
 from pinred.integrators.stepping import (
     argument_types,
     call_wrapper,
-    compiled_function,
+    numba_functions,
     shipped_code,
     wrapped_code,
 )
@@ -26,7 +26,6 @@ from pinred.integrators.stepping.argument_types import argument_type, plain_valu
 from pinred.integrators.stepping.call_wrapper import objects_are_as_expected
 from pinred.integrators.stepping.compiled_function import CompiledFunction
 from pinred.integrators.stepping.compiling import compiled
-from pinred.integrators.stepping.portable_code import extract_bitcode
 from pinred.integrators.stepping.reshape_code import RESHAPE_CODE
 from pinred.integrators.stepping.run_state import new_run
 
@@ -69,33 +68,24 @@ def python_wait(flags: Any, limit: int) -> bool:
     return False
 
 
-def shipped(function: Any, arguments: tuple[Any, ...]) -> CompiledFunction:
-    """Compile a function for some arguments, ship its code, and return a copy that finds it."""
-    built: Any = compiled(function)
-    built.dispatcher(*arguments)
-    (types,) = built.dispatcher.signatures
-    bitcode = extract_bitcode(built.dispatcher.overloads[types])
-    assert bitcode is not None
-    shipped_code.write_shipped(built.dispatcher._cache.shipped_name(types), bitcode)
-    copy: Any = compiled(function)
-    return copy  # type: ignore[no-any-return]
-
-
 def arguments() -> list[Any]:
-    """Return arguments that the shipped probe accepts."""
+    """Return arguments that the compiled probe accepts."""
     pair = Pair(np.arange(4.0), 7)
     return [np.zeros(1, RECORD), 0.5, 3, True, pair, (1, 2), np.zeros((2, 3))]
 
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Ship the code of the probe and of the wait, and cache machine code in another folder."""
+    """Compile the probe and the wait; their machine code is in a cache."""
     folder = tmp_path_factory.mktemp("code")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(shipped_code, "FOLDER", folder / "shipped")
         patch.setattr(wrapped_code, "STORE", ObjectCache(folder / "cache"))
-        shipped(python_probe, tuple(arguments()))
-        shipped(python_wait, (np.zeros(2, np.int64), 3))
+        for function, given in (
+            (python_probe, arguments()), (python_wait, [np.zeros(2, np.int64), 0]),
+        ):  # fmt: skip
+            built: Any = compiled(function)
+            built(*given)
         yield folder
 
 
@@ -105,10 +95,10 @@ def probe(folders: Path, monkeypatch: pytest.MonkeyPatch) -> CompiledFunction:
     assert folders.is_dir()
     copy: Any = compiled(python_probe)
 
-    def refuse(function: CompiledFunction) -> Any:
+    def refuse(function: CompiledFunction, *_: Any) -> Any:
         raise AssertionError(f"{function} was compiled")
 
-    monkeypatch.setattr(CompiledFunction, "dispatcher", property(refuse))
+    monkeypatch.setattr(numba_functions, "compile_bitcode", refuse)
     return copy  # type: ignore[no-any-return]
 
 
@@ -150,7 +140,6 @@ class Subclass(np.ndarray[Any, Any]):
         (6, np.zeros((2, 6))[:, ::2]),
         (6, np.zeros((3, 2)).T),
         (6, unaligned()),
-        (6, read_only()),
         (6, np.zeros((2, 3)).view(Subclass)),
         (6, [[0.0] * 3] * 2),
         (0, np.zeros(1, [("t", np.float64), ("m", np.int64)])),
@@ -173,13 +162,13 @@ def test_wrapper_rejects_other_types(index: int, value: Any, probe: CompiledFunc
     """They are compiled; machine code for another type would read wrong memory."""
     given = arguments()
     probe(*given)
-    (wrapper,) = probe._shipped
+    (wrapper,) = probe._codes.values()
     given[index] = value
     assert wrapper(*given) is NotImplemented
     assert wrapper(*given[:-1]) is NotImplemented
     assert wrapper(*arguments(), 1) is NotImplemented
     assert wrapper(*arguments()) == 31.5  # no Python exception is pending
-    with pytest.raises(AssertionError, match="was compiled"):
+    with pytest.raises((AssertionError, TypeError), match=r"was compiled|takes Python's numbers"):
         probe(*given)
 
 
@@ -195,6 +184,16 @@ def test_equal_arguments_of_other_classes_are_converted(
     probe(*arguments())
     assert probe(*given) == 31.5
     assert (pickled["n"], mapped[1, 2]) == (3, 3.0)
+
+
+def test_read_only_arrays_have_the_code_of_others(probe: CompiledFunction) -> None:
+    """One code is shipped for both; the pair is not written."""
+    given = arguments()
+    probe(*given)
+    given[4].array.flags.writeable = False
+    assert probe(*given) == 31.5
+    assert len(probe._codes) == 1
+    assert argument_type(read_only()) == argument_type(np.zeros((2, 3)))
 
 
 def test_failure_of_compiled_function_raises_error(probe: CompiledFunction) -> None:
@@ -215,36 +214,29 @@ def test_wrapper_releases_the_gil() -> None:
     thread.start()
     assert wait(flags, 10**10) is True
     thread.join()
-    assert len(wait._shipped) == 1
+    assert len(wait._codes) == 1
 
 
-# --- the fallback to numba --------------------------------------------------------------------
+# --- what wrappers cannot call ----------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("folders")
-@pytest.mark.parametrize("fault", ["setting", "objects", "parameters", "no code"])
-def test_numba_calls_what_wrappers_cannot(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without shipped code, or with settings and objects that it does not expect."""
-    if fault == "setting":
-        monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
-    elif fault == "objects":
-        monkeypatch.setattr(wrapped_code, "objects_are_as_expected", lambda: False)
-    elif fault == "parameters":
-        monkeypatch.setattr(wrapped_code, "STORE", ObjectCache(Path("/proc/nothing")))
-        monkeypatch.setitem(call_wrapper._NUMBERS, float, "float")
-    else:
-        monkeypatch.setattr(shipped_code, "FOLDER", Path("/proc/nothing"))
+def test_bitcode_with_other_parameters_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Machine code would read the arguments of its wrapper as others."""
+    monkeypatch.setattr(wrapped_code, "STORE", ObjectCache(Path("/proc/nothing")))
+    monkeypatch.setitem(call_wrapper._NUMBERS, float, "float")
     copy: Any = compiled(python_probe)
-    calls: list[tuple[Any, ...]] = []
+    with pytest.raises(RuntimeError, match="but is passed"):
+        copy(*arguments())
 
-    def by_numba(*given: Any) -> float:
-        calls.append(given)
-        return 31.5
 
-    monkeypatch.setattr(CompiledFunction, "dispatcher", by_numba)
-    assert copy(*arguments()) == 31.5
-    assert copy._shipped == ()
-    assert len(calls) == 1
+@pytest.mark.usefixtures("folders")
+def test_python_with_other_objects_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wrappers read objects in memory."""
+    monkeypatch.setattr(wrapped_code, "objects_are_as_expected", lambda: False)
+    copy: Any = compiled(python_probe)
+    with pytest.raises(UnsupportedOperationError, match='engine="pinocchio"'):
+        copy(*arguments())
 
 
 @pytest.mark.parametrize("name", ["_DATA", "_NDIM", "_DIMS", "_STRIDES", "_DTYPE", "_FLAGS"])
@@ -257,43 +249,31 @@ def test_other_structure_of_arrays_is_noticed(name: str, monkeypatch: pytest.Mon
     objects_are_as_expected.cache_clear()
 
 
-def test_inlined_functions_and_unknown_types_are_not_looked_up(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Code is shipped of compiled functions alone."""
-    monkeypatch.setattr(compiled_function, "load_shipped", lambda *_: pytest.fail("looked up"))
-    monkeypatch.setattr(CompiledFunction, "dispatcher", lambda *_: "numba")
-    assert CompiledFunction(python_wait, "", inline=True)(1) == "numba"
-    assert CompiledFunction(python_wait, "")("text") == "numba"
-
-
 # --- names of types ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "value",
-    [
+def test_types_have_distinct_names() -> None:
+    """Code is found by the names of the types of its arguments."""
+    values: list[Any] = [
         1, 2.0, True, (1, 2), (1, 2.0), (1, (2, 3)), Pair(np.zeros(2), 1), Pair(1, 2),
-        np.zeros(3), np.zeros((2, 3)), np.zeros((2, 3)).T, np.zeros((4, 4))[::2, ::2],
-        np.zeros((1, 3)).T, np.zeros(0), read_only(), np.zeros(2, np.int64), new_run(),
-        np.zeros(1, RECORD), (np.zeros(2), np.zeros(3)),
-    ],
-)  # fmt: skip
-def test_names_of_types_are_those_of_numba(value: Any) -> None:
-    """The files of shipped code are named by numba's types when they are built."""
-    type_by_numba: Any = typeof
-    assert str(argument_type(value)) == str(type_by_numba(value))
+        Other(1, 2), np.zeros(3), np.zeros((2, 3)), np.zeros((2, 3)).T, np.zeros((4, 4))[::2, ::2],
+        np.zeros(2, np.int64), np.zeros(2, bool), np.zeros(2, np.uint8), new_run(),
+        np.zeros(1, RECORD), (np.zeros(2), np.zeros(3)), (np.zeros(2), np.zeros(3), np.zeros(3)),
+    ]  # fmt: skip
+    assert len({str(argument_type(value)) for value in values}) == len(values)
+    assert str(argument_type(np.zeros((1, 3)).T)) == "array(float64, 2d, C)"
 
 
 @pytest.mark.parametrize(
     "value",
     [
-        "text", [1.0], (), np.float32(1.0), np.zeros(2, np.float32), 1j, None, unaligned(),
-        np.zeros(1, [("t", np.int8), ("n", np.int64)]), np.ma.zeros(2), (1, "text"),
+        "text", [1.0], (), np.float32(1.0), np.zeros(2, ">f8"), np.zeros(2, complex), 1j,
+        None, unaligned(), np.zeros(1, [("t", np.int8), ("n", np.int64)]), np.ma.zeros(2),
+        (1, "text"),
     ],
 )  # fmt: skip
 def test_other_types_have_no_name(value: Any) -> None:
-    """Only numba may take them."""
+    """Compiled functions do not take them."""
     assert argument_type(plain_value(value)) is None
 
 

@@ -12,28 +12,23 @@ import pytest
 
 import pinred
 
-# Create all steppers, and compile one function. Print its result and the number of compilations.
+# Create all steppers, and compile one function. Print its result, and whether it was compiled.
 PROGRAM = """
-import numba.core.event as events
+import sys
 import numpy as np
-with events.install_recorder("numba:compile") as record:
-    from pinred.integrators.methods import METHODS
-    from pinred.integrators.stepping.kernel_call import from_lanes
-    for kind in METHODS.values():
-        (kind(1e-8, 1e-10) if kind.adaptive else kind(0.02))._stepper()
-    out = np.zeros((1, 2))
-    from_lanes(np.arange(8.0)[None], out)
-print(out.tolist(), sum(event.is_start for _, event in record.buffer))
-"""
-PLAIN = """
-import pinred.integrators.stepping.kernel_call as module, numba
-numba.njit(cache=True)(module.from_lanes.py_func)
+from pinred.integrators.methods import METHODS
+from pinred.integrators.stepping.kernel_call import from_lanes
+for kind in METHODS.values():
+    (kind(1e-8, 1e-10) if kind.adaptive else kind(0.02))._stepper()
+out = np.zeros((1, 2))
+from_lanes(np.arange(8.0)[None], out)
+print(out.tolist(), "numba" in sys.modules)
 """
 
 
 @pytest.fixture
 def install(tmp_path: Path) -> Path:
-    """Return a folder with a copy of the package in which numba cannot write, even for root.
+    """Return a folder with a copy of the package in which Python cannot write, even for root.
 
     Permissions do not stop root, but files in place of the cache folders stop everybody.
     """
@@ -62,17 +57,16 @@ def run(program: str, install: Path, **variables: str) -> subprocess.CompletedPr
 def test_read_only_installation_caches_in_named_folder(install: Path, tmp_path: Path) -> None:
     """The first process stores the code in the named folder, and the second one loads it."""
     folders = {"PINRED_CACHE_DIR": str(tmp_path / "cache"), "XDG_DATA_HOME": str(tmp_path / "data")}
-    for count in (1, 0):
+    for is_compiled in (True, False):
         done = run(PROGRAM, install, **folders)
         assert (done.returncode, done.stderr) == (0, "")
-        assert done.stdout == f"[[0.0, 1.0]] {count}\n"
+        assert done.stdout == f"[[0.0, 1.0]] {is_compiled}\n"
     assert len(list((tmp_path / "cache").iterdir())) == 1
 
 
 @pytest.mark.slow
 def test_installation_without_writable_folder_compiles_in_memory(install: Path) -> None:
-    """A CacheWarning is issued, and the result is the same; numba's cache raises an error."""
-    done = run(PROGRAM + PLAIN, install)
-    assert "cannot cache function 'from_lanes'" in done.stderr
-    assert done.stdout == "[[0.0, 1.0]] 1\n"
+    """A CacheWarning is issued, and the result is the same."""
+    done = run(PROGRAM, install)
+    assert done.stdout == "[[0.0, 1.0]] True\n", done.stderr
     assert "CacheWarning" in done.stderr

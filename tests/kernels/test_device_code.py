@@ -131,7 +131,7 @@ def count_times(
 
 
 def test_step_loop_without_shipped_bitcode_is_compiled() -> None:
-    """Other versions of numba find no bitcode in the package."""
+    """The bitcode of a method with coefficients of its own is not in the package."""
     module = llvm.parse_bitcode(device_code._bitcode(count_times), llvm.create_context())
     result, error, *arguments = module.get_function(COMPILED).arguments
     assert str(result.type) == str(error.type) == "ptr"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import re
+from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 
@@ -30,10 +31,7 @@ from pinred.integrators.stepping.kernel_call import from_lanes
 from pinred.simulation.compiled import code_ahead
 from pinred.simulation.compiled.divided_code import divide
 
-FOLDER = shipped_code.FOLDER / shipped_code.environment()
-needs_code = pytest.mark.skipif(
-    not FOLDER.is_dir(), reason=f"no code is shipped for {shipped_code.environment()}"
-)
+FOLDER = shipped_code.FOLDER
 TWO_FUNCTIONS = """
 @factor = private constant double 3.0
 define internal double @0(double %x) {
@@ -49,7 +47,6 @@ attributes #0 = { nounwind }
 """
 
 
-@needs_code
 @pytest.mark.parametrize("name", ["DOP853", "Radau", "Gauss", "Tsit5"])
 def test_calls_use_the_types_that_are_expected(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Code that is generated ahead is the code that the calls load."""
@@ -72,13 +69,12 @@ def test_calls_use_the_types_that_are_expected(name: str, monkeypatch: pytest.Mo
         end.vjp({"pose": np.ones(cat.group.dim)})
     assert {function.__name__ for function, _ in expected}
     for function, types in expected:
-        assert types in function._by_types, function.__name__
+        assert function.has_code(types), function.__name__
         assert shipped_code.is_shipped(
             shipped_code.shipped_name(function.py_func, types, function.stamp)
         )
 
 
-@needs_code
 @pytest.mark.parametrize("name", ["jacobian", "RKMK4_advance"])
 def test_parts_have_the_instructions_of_the_whole(name: str) -> None:
     """Only the visibility of functions differs, which calls do not depend on."""
@@ -186,12 +182,11 @@ def test_archive_with_a_damaged_member_is_rejected() -> None:
         load_object(archive_of([code, b"damaged"]), "triple")
 
 
-@needs_code
-@pytest.mark.parametrize("cause", ["numba's CPU", "other objects", "other parameters"])
+@pytest.mark.parametrize("cause", ["no code", "other objects"])
 def test_code_that_calls_cannot_use_is_not_generated(
     cause: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where calls fall back to numba, nothing is generated ahead."""
+    """Nothing is generated ahead without shipped code, or where Python has other objects."""
     begun: list[object] = []
     monkeypatch.setattr("pinred.common.object_cache.begin", begun.append)
     monkeypatch.setattr(ObjectCache, "_has_entry", lambda *_: False)
@@ -200,14 +195,10 @@ def test_code_that_calls_cannot_use_is_not_generated(
     function = CompiledFunction(vars(from_lanes)["py_func"], vars(from_lanes)["stamp"])
     arguments = np.zeros((1, 8)), np.zeros((1, 2))
     with monkeypatch.context() as patch:
-        if cause == "numba's CPU":
-            patch.setenv("NUMBA_CPU_NAME", "generic")
-        elif cause == "other objects":
-            patch.setattr(code_ahead, "objects_are_as_expected", lambda: False)
+        if cause == "no code":
+            patch.setattr(shipped_code, "FOLDER", Path("/proc/nothing"))
         else:
-            (file,) = FOLDER.glob("lift-*")
-            other = shipped_code.read_shipped(file.name)
-            patch.setattr(shipped_code, "read_shipped", lambda _: other)
+            patch.setattr(code_ahead, "objects_are_as_expected", lambda: False)
         code_ahead.expect(function, *arguments)
     assert begun == []
     code_ahead.expect(function, *arguments)
@@ -218,7 +209,6 @@ def test_code_that_calls_cannot_use_is_not_generated(
     assert len(begun) == 1
 
 
-@needs_code
 def test_threads_end_with_the_call_and_warm_calls_start_none(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

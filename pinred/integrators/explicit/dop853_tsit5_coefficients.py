@@ -48,8 +48,7 @@ _TSIT5_DENSE = (
 @once_for_all
 def dop853_tableau() -> Tableau:
     """Return the coefficients of DOP853, which are taken from SciPy."""
-    # The file is run alone, because importing its package, scipy.integrate, takes as long as
-    # importing numba.
+    # The file is run alone, because importing its package, scipy.integrate, takes long.
     file = Path(scipy.__file__).with_name("integrate") / "_ivp" / "dop853_coefficients.py"
     found = run_path(str(file))
     return Tableau(found["A"], np.array([found["E5"], found["E3"]]), found["D"])

@@ -1,7 +1,4 @@
-"""Types of the arguments of compiled functions, with the names that numba gives them.
-
-Shipped code is found by these names, so that numba need not be imported to find it.
-"""
+"""Types of the arguments of compiled functions, with names by which their code is found."""
 
 from __future__ import annotations
 
@@ -27,23 +24,20 @@ class NumberType:
 
 @dataclass(frozen=True)
 class ArrayType:
-    """The type of a NumPy array.
+    """The type of a NumPy array, which may be read-only.
 
     Attributes:
         dtype: Type of its entries.
         ndim: Number of axes.
         layout: C for contiguous rows, F for contiguous columns, A for others.
-        writeable: Whether its entries may be changed.
     """
 
     dtype: np.dtype[Any]
     ndim: int
     layout: str
-    writeable: bool
 
     def __str__(self) -> str:
-        kind = "array" if self.writeable else "readonly array"
-        return f"{kind}({_entry_name(self.dtype)}, {self.ndim}d, {self.layout})"
+        return f"array({_entry_name(self.dtype)}, {self.ndim}d, {self.layout})"
 
 
 @dataclass(frozen=True)
@@ -78,7 +72,7 @@ def argument_type(value: Any) -> ArgumentType | None:
     Args:
         value: The argument.
     Returns:
-        The type, or None if shipped code takes no such arguments.
+        The type, or None if compiled functions take no such arguments.
     """
     kind = type(value)
     if kind in (int, float, bool):
@@ -119,13 +113,13 @@ def _array_type(array: Any) -> ArrayType | None:
     if not (flags.aligned and _entry_name(array.dtype)):
         return None
     layout = "C" if flags.c_contiguous else "F" if flags.f_contiguous else "A"
-    return ArrayType(array.dtype, array.ndim, layout, flags.writeable)
+    return ArrayType(array.dtype, array.ndim, layout)
 
 
 def _entry_name(dtype: np.dtype[Any]) -> str:
-    """Return numba's name of the type of entries, "" if shipped code takes no such arrays."""
-    if dtype in (np.float64, np.int64):
-        return str(dtype)
+    """Return the name of the type of entries, "" if compiled functions take no such arrays."""
+    if dtype.kind in "biuf":  # numbers and truth values
+        return str(dtype) if dtype.isnative else ""
     if dtype.fields is None or not dtype.isalignedstruct:
         return ""
     fields = sorted(dtype.fields.items(), key=lambda field: field[1][1])

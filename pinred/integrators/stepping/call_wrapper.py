@@ -182,9 +182,8 @@ class CallWrapper:
         self._check(f"icmp eq ptr {dtype}, {self._object(argument.dtype)}")
         compared, expected = _LAYOUTS[argument.layout]
         flags = self._load("i32", value, _FLAGS)
-        masked = self._add(f"and i32 {flags}, {compared | _ALIGNED | _WRITEABLE}")
-        expected |= _ALIGNED | (_WRITEABLE if argument.writeable else 0)
-        self._check(f"icmp eq i32 {masked}, {expected}")
+        masked = self._add(f"and i32 {flags}, {compared | _ALIGNED}")
+        self._check(f"icmp eq i32 {masked}, {expected | _ALIGNED}")
         data = self._load("ptr", value, _DATA)
         dims, strides = (self._load("ptr", value, offset) for offset in (_DIMS, _STRIDES))
         shape = [self._load("i64", dims, 8 * k) for k in range(argument.ndim)]

@@ -1,7 +1,4 @@
-"""Functions that are executed as shipped machine code, or compiled by numba where none fits.
-
-numba is loaded only to compile: its import takes longer than loading the shipped code.
-"""
+"""Functions of Python that are executed as machine code."""
 
 from __future__ import annotations
 
@@ -11,7 +8,8 @@ from threading import RLock
 from typing import Any
 
 from .argument_types import ArgumentType, argument_type, plain_value
-from .wrapped_code import load_shipped
+from .shipped_code import shipped_name
+from .wrapped_code import load_code
 
 _LOCK = RLock()
 
@@ -26,7 +24,7 @@ class CompiledFunction:
     """
 
     def __init__(self, function: Callable[..., Any], stamp: str, *, inline: bool = False) -> None:
-        """Set the function; its code is loaded or compiled at the first call.
+        """Set the function; its code is loaded or generated at the first call.
 
         Args:
             function: The Python function.
@@ -34,10 +32,8 @@ class CompiledFunction:
             inline: Whether numba inlines the function.
         """
         self.py_func, self.stamp, self.inline = function, stamp, inline
-        self._call: Callable[..., Any] = self._find_code
-        self._is_compiled = False  # whether numba has compiled it for some types
-        self._shipped: tuple[Callable[..., Any], ...] = ()  # all but the first are called later
-        self._by_types: dict[tuple[ArgumentType, ...], Callable[..., Any] | None] = {}
+        self._call: Callable[..., Any] = self._load_and_call
+        self._codes: dict[tuple[ArgumentType, ...], Callable[..., Any]] = {}
         update_wrapper(self, function)
 
     def __call__(self, *arguments: Any) -> Any:
@@ -46,56 +42,48 @@ class CompiledFunction:
         return self._call_others(arguments) if result is NotImplemented else result
 
     @cached_property
-    def dispatcher(self) -> Any:
-        """Numba's dispatcher of the function."""
+    def numba_object(self) -> Any:
+        """Numba's dispatcher, by which functions that numba compiles refer to this one."""
         from .numba_functions import make_dispatcher
 
-        return make_dispatcher(self.py_func, self.stamp, inline=self.inline)
-
-    @property
-    def numba_object(self) -> Any:
-        """The object by which functions that numba compiles refer to this one."""
-        return self.dispatcher
+        return make_dispatcher(self.py_func, inline=self.inline)
 
     def __reduce__(self) -> str:
         """Copy and pickle a function by its name, like functions of Python."""
         return self.py_func.__qualname__
 
+    def has_code(self, types: tuple[ArgumentType, ...]) -> bool:
+        """Return whether the code for some types of the arguments is in memory."""
+        return types in self._codes
+
     def _call_others(self, arguments: tuple[Any, ...]) -> Any:
         """Call the code for other types than those of the first call."""
-        for shipped in self._shipped[1:]:
-            result = shipped(*arguments)
+        for code in list(self._codes.values()):
+            result = code(*arguments)
             if result is not NotImplemented:
                 return result
-        find = self.dispatcher if self._is_compiled else self._find_code
-        return find(*arguments)
+        return self._load_and_call(*arguments)
 
-    def _find_code(self, *arguments: Any) -> Any:
-        """Load or compile code for the types of the arguments, and call it."""
+    def _load_and_call(self, *arguments: Any) -> Any:
+        """Load or generate code for the types of the arguments, and call it."""
         values = tuple(map(plain_value, arguments))
-        shipped = self._load(tuple(map(argument_type, values)))
-        if shipped is not None:
-            result = shipped(*values)
-            if result is not NotImplemented:
-                return result
-        self._is_compiled = True
-        if not self._shipped:
-            self._call = self.dispatcher
-        return self.dispatcher(*arguments)
-
-    def _load(self, types: tuple[ArgumentType | None, ...]) -> Callable[..., Any] | None:
-        """Return the shipped code for the types of the arguments, or None."""
-        known = tuple(kind for kind in types if kind is not None)
-        if self.inline or len(known) < len(types):
-            return None
-        with _LOCK:
-            if known not in self._by_types:
-                shipped = load_shipped(self.py_func, known, self.stamp)
-                self._by_types[known] = shipped
-                if shipped is not None:
-                    self._shipped += (shipped,)
-                    self._call = self._shipped[0]
-            return self._by_types[known]
+        found = tuple(map(argument_type, values))
+        types = tuple(kind for kind in found if kind is not None)
+        result: Any = NotImplemented
+        if len(types) == len(values):
+            with _LOCK:
+                if types not in self._codes:
+                    name = shipped_name(self.py_func, types, self.stamp)
+                    self._codes[types] = load_code(self, name, types)
+                    self._call = next(iter(self._codes.values()))
+            result = self._codes[types](*values)
+        if result is NotImplemented:
+            kinds = ", ".join(type(value).__name__ for value in arguments)
+            raise TypeError(
+                f"'{self.py_func.__name__}' takes Python's numbers, aligned arrays of numbers, and "
+                f"tuples, got {kinds}"
+            )
+        return result
 
 
 class Intrinsic:

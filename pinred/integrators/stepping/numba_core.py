@@ -1,6 +1,6 @@
 """The modules `types` and `cgutils` of numba, loaded when the generator of an intrinsic uses them.
 
-Importing numba takes longer than a first run with shipped code, which does not need it.
+Shipped code runs without numba, which need not be installed.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Machine code of shipped functions, with the wrappers by which Python calls them without numba."""
+"""Machine code of compiled functions, generated from bitcode, with wrappers that Python calls."""
 
 from __future__ import annotations
 
-import os
 import sys
-from collections.abc import Callable
+from functools import cache
 from hashlib import sha256
+from importlib.metadata import version
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -13,83 +13,116 @@ import numpy as np
 
 from ...common.compile_notice import notice_of_compiling
 from ...common.cpu_target import cpu_target
-from ...common.machine_code import LLVM_LOCK, create_machine, load_object
+from ...common.errors import UnsupportedOperationError
+from ...common.machine_code import LLVM_LOCK, create_machine, load_object, parse_bitcode
 from ...common.object_cache import ObjectCache
+from ...common.optional_packages import install_command, require_package
 from ...common.version import __version__
 from . import shipped_code
 from .argument_types import ArgumentType
 from .call_wrapper import COMPILED, WRAPPER, CallWrapper, objects_are_as_expected
+from .shipped_code import Bitcode
 
 # The cache of the code of all compiled functions. Its folder is chosen once, so that a process
 # never compiles a function for two folders.
 STORE = ObjectCache()
-_LEVEL = 3  # of code generation, as in numba
+LEVEL = 3  # of code generation, as in numba
 
 
-def load_shipped(
-    function: Callable[..., Any], arguments: tuple[ArgumentType, ...], stamp: str
-) -> Callable[..., Any] | None:
-    """Return a shipped function for some types of its arguments, without loading numba.
+def load_code(function: Any, name: str, types: tuple[ArgumentType, ...]) -> Any:
+    """Return the machine code of a function for some types of its arguments.
 
     Args:
-        function: The Python function.
-        arguments: Types of its arguments.
-        stamp: Digest of its sources.
+        function: The CompiledFunction.
+        name: Name of its bitcode, see `shipped_name`.
+        types: Types of its arguments.
     Returns:
-        A function that returns NotImplemented for other types. None if no code is shipped, or if
-        objects of Python, the code or numba's settings differ from the wrapper's expectations.
+        A function that returns NotImplemented for other types.
+    Raises:
+        MissingPackageError: Its bitcode is not shipped, and numba is not installed.
+        UnsupportedOperationError: Python's objects differ from the wrapper's expectations.
     """
-    name = shipped_code.shipped_name(function, arguments, stamp)
-    # NUMBA_CPU_NAME applies to numba alone.
-    if not shipped_code.is_shipped(name) or os.environ.get("NUMBA_CPU_NAME"):
-        return None
     if not objects_are_as_expected():
-        return None
-    key = _key(name)
+        raise UnsupportedOperationError(
+            "compiled integrators read Python's objects in memory, and this Python stores them in "
+            'another way. Use CPython with 64 bits, or simulate(…, engine="pinocchio")'
+        )
+    key = key_of(name)
     data = STORE.get(key)
     if data is None:
-        bitcode = shipped_code.read_shipped(name)
-        wrapper = CallWrapper(function.__name__, arguments, bitcode.result)
         with notice_of_compiling("an integrator, once for all robots"):
+            bitcode = bitcode_of(function, name, types)
+            wrapper = CallWrapper(function.__name__, types, bitcode.result)
             code = _compile(wrapper, bitcode.module)
-        if code is None:
-            return None
         STORE.put(key, bitcode.result.encode() + b"\n" + code)
     else:
         # The object cache has verified the user's signature.
         result, _, code = data.partition(b"\n")
-        wrapper = CallWrapper(function.__name__, arguments, result.decode())
+        wrapper = CallWrapper(function.__name__, types, result.decode())
     return wrapper.bind(load_object(code, WRAPPER))
 
 
-def _key(name: str) -> str:
-    """Return the key of the machine code of a shipped function with its wrapper."""
-    python = f"{sys.implementation.cache_tag}{getattr(sys, 'abiflags', '')}"
+def bitcode_of(function: Any, name: str, types: tuple[ArgumentType, ...]) -> Bitcode:
+    """Return the bitcode of a function: what is shipped, or else what numba compiles.
+
+    Args:
+        function: The CompiledFunction.
+        name: Name of its bitcode.
+        types: Types of its arguments.
+    Returns:
+        The bitcode.
+    Raises:
+        MissingPackageError: It is not shipped, and numba is not installed.
+    """
+    if shipped_code.is_shipped(name):
+        return shipped_code.read_shipped(name)
+    require_package(
+        "numba",
+        f"no machine code is shipped of '{function.__name__}'. Methods with coefficients of your "
+        f"own, and changed sources, are compiled by numba: {install_command('methods')}",
+    )
+    from . import numba_functions
+
+    return numba_functions.compile_bitcode(function, name, types)
+
+
+def key_of(name: str) -> str:
+    """Return the key of the machine code of a function with its wrapper."""
     cpu = cpu_target()
-    parts = (
-        "wrapped", name, shipped_code.environment(), __version__, python, np.__version__,
-        cpu.name, cpu.features,
-    )  # fmt: skip
+    parts = ("wrapped", name, *_environment(), cpu.name, cpu.features)
     return sha256(repr(parts).encode()).hexdigest()
 
 
-def _compile(wrapper: CallWrapper, bitcode: bytes) -> bytes | None:
+@cache
+def _environment() -> tuple[str, ...]:
+    """Return the versions on which the machine code depends."""
+    python = f"{sys.implementation.cache_tag}{getattr(sys, 'abiflags', '')}"
+    versions = __version__, python, np.__version__, version("llvmlite")
+    return (*versions, llvm.get_process_triple())
+
+
+def check_parameters(wrapper: CallWrapper, module: Any) -> None:
+    """Raise RuntimeError if a function has other parameters than its wrapper passes."""
+    parameters = [str(p.type) for p in module.get_function(COMPILED).arguments]
+    if parameters != wrapper.parameters:
+        raise RuntimeError(f"the bitcode takes {parameters}, but is passed {wrapper.parameters}")
+
+
+def _compile(wrapper: CallWrapper, bitcode: bytes) -> bytes:
     """Generate machine code of a function and its wrapper.
 
     Args:
         wrapper: The wrapper.
         bitcode: Bitcode of the function.
     Returns:
-        The object code, or None if the function has other parameters than the wrapper expects.
+        The object code.
     """
     with LLVM_LOCK:
-        machine = create_machine(_LEVEL)
+        machine = create_machine(LEVEL)
         context = llvm.create_context()
-        module = llvm.parse_bitcode(bitcode, context)
-        parameters = [str(p.type) for p in module.get_function(COMPILED).arguments]
-        code: bytes | None = None
-        if parameters == wrapper.parameters:
-            module.link_in(llvm.parse_assembly(wrapper.text, context))
-            code = machine.emit_object(module)
+        module = parse_bitcode(bitcode, context)
+        check_parameters(wrapper, module)
+        module.link_in(llvm.parse_assembly(wrapper.text, context))
+        code: bytes = machine.emit_object(module)
         module.close()  # before its context is deleted
     return code

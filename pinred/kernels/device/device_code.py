@@ -37,11 +37,12 @@ from ...common.optional_packages import install_command
 from ...integrators.integrate import begun_by
 from ...integrators.integrate_many import Solutions, checked_batch, solutions
 from ...integrators.methods.method import Explicit
-from ...integrators.stepping.argument_types import argument_type, plain_value
+from ...integrators.stepping.argument_types import argument_type
 from ...integrators.stepping.call_wrapper import COMPILED
 from ...integrators.stepping.run_state import LAYOUT, NOT_CANONICAL, new_run
-from ...integrators.stepping.shipped_code import find_shipped, shipped_name
+from ...integrators.stepping.shipped_code import shipped_name
 from ...integrators.stepping.step_loop import OUTCOME
+from ...integrators.stepping.wrapped_code import bitcode_of
 from ...system.state_fields import FIELDS
 from ..build import model_bytes
 from ..kernel import Kernel, in_given_order
@@ -390,30 +391,9 @@ def loop_arguments() -> tuple[Any, ...]:
 @once_for_all
 def _bitcode(advance: Any) -> bytes:
     """Return the bitcode of a step loop: what is shipped, or else what numba compiles."""
-    arguments = loop_arguments()
-    kinds = tuple(argument_type(plain_value(argument)) for argument in arguments)
-    shipped = find_shipped(shipped_name(advance.py_func, kinds, advance.stamp))
-    if shipped is not None:
-        return shipped.module
-    key = cache_key(advance.py_func.__name__, advance.stamp)
-    what = f"the steps {advance.py_func.__name__} for devices"
-    return ObjectCache().get_or_compile(key, lambda: _compiled_bitcode(advance, arguments), what)
-
-
-def _compiled_bitcode(advance: Any, arguments: tuple[Any, ...]) -> bytes:
-    from numba import typeof
-    from numba.core.caching import NullCache
-
-    from ...integrators.stepping.numba_functions import make_dispatcher
-    from ...integrators.stepping.portable_code import extract_bitcode
-
-    dispatcher = make_dispatcher(advance.py_func, advance.stamp, inline=False)
-    vars(dispatcher)["_cache"] = NullCache()  # objects in caches contain no bitcode
-    signature = tuple(map(typeof, arguments))
-    dispatcher.compile(signature)
-    bitcode = extract_bitcode(dispatcher.overloads[signature])
-    assert bitcode is not None, "step loops need no objects of Python"
-    return bitcode.module
+    types = tuple(kind for kind in map(argument_type, loop_arguments()) if kind is not None)
+    name = shipped_name(advance.py_func, types, advance.stamp)
+    return bitcode_of(advance, name, types).module
 
 
 def _with_direct_calls(ir: str) -> str:

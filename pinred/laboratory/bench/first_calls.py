@@ -1,4 +1,4 @@
-"""Time of first calls with empty caches, with shipped machine code and by compilation."""
+"""Time of first calls with empty caches."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from typing import Any
@@ -19,10 +18,10 @@ from ...common.errors import InputError
 from ...common.waiting import Progress, one_by_one
 from .timing import Table
 
-_ROUNDS = 3  # number of processes with shipped code; compilations are measured once
+_ROUNDS = 3  # number of processes
 _DURATION = 0.5  # of the motions [s]
 _ROBOT = "falling_cat"
-_PROGRAM = "from {module} import print_time; print_time({call!r}, shipped={shipped})"
+_PROGRAM = "from {module} import print_time; print_time({call!r})"
 
 
 def _simulate(system: Any, method: str = "auto") -> Any:
@@ -70,9 +69,8 @@ def bench_first_calls(
         calls: Names of CALLS; by default all.
         progress: True for a progress bar, or a function of the completed fraction.
     Returns:
-        A row for each call: the median time with the machine code that the package ships, the time
-        when numba compiles the integrators [s], their ratio, and whether the call with shipped code
-        loads numba.
+        A row for each call: the median time, with machine code generated from the package's
+        bitcode [s].
     Raises:
         InputError: A call is unknown.
     """
@@ -81,28 +79,16 @@ def bench_first_calls(
         raise InputError(f"no call '{unknown[0]}'; the calls are {', '.join(CALLS)}")
 
     def measure(name: str) -> SimpleNamespace:
-        results = [_in_fresh_process(name, shipped=True) for _ in range(_ROUNDS)]
-        compiled, _ = _in_fresh_process(name, shipped=False)
-        seconds, loaded = zip(*results, strict=True)
-        shipped = float(np.median(seconds))
-        return SimpleNamespace(
-            call=name, shipped=shipped, compiled=compiled, ratio=compiled / shipped,
-            numba="loaded" if any(loaded) else "not loaded",
-        )  # fmt: skip
+        seconds = float(np.median([_in_fresh_process(name) for _ in range(_ROUNDS)]))
+        return SimpleNamespace(call=name, seconds=seconds)
 
-    columns = {
-        "call": "<20 first call",
-        "shipped": ">12.2f shipped [s]",
-        "compiled": ">13.2f compiled [s]",
-        "ratio": ">7.1f",
-        "numba": "<10",
-    }
+    columns = {"call": "<20 first call", "seconds": ">8.2f time [s]"}
     return Table("first_calls", columns, tuple(one_by_one(names, measure, progress, "calls")))
 
 
-def _in_fresh_process(call: str, *, shipped: bool) -> tuple[float, bool]:
-    """Return the time of a call in a process with an empty cache, and whether it loaded numba."""
-    program = _PROGRAM.format(module=__name__, call=call, shipped=shipped)
+def _in_fresh_process(call: str) -> float:
+    """Return the time of a call in a process with an empty cache [s]."""
+    program = _PROGRAM.format(module=__name__, call=call)
     with TemporaryDirectory() as cache:
         # Installed packages contain bytecode, so the processes write and read it.
         settings = {"PINRED_CACHE_DIR": cache, "PYTHONDONTWRITEBYTECODE": ""}
@@ -110,23 +96,14 @@ def _in_fresh_process(call: str, *, shipped: bool) -> tuple[float, bool]:
             [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, check=True,
             env={**os.environ, **settings},
         )  # fmt: skip
-    seconds, loaded = done.stdout.split()
-    return float(seconds), loaded == "True"
+    return float(done.stdout)
 
 
-def print_time(call: str, *, shipped: bool) -> None:
-    """Print the time of a call in this process, and whether numba is loaded afterwards.
-
-    Args:
-        call: Name of the call, one of CALLS.
-        shipped: Whether to use the shipped machine code.
-    """
-    from ...integrators.stepping import shipped_code
+def print_time(call: str) -> None:
+    """Print the time of a call, one of CALLS, in this process [s]."""
     from ...system.load import load
 
-    if not shipped:
-        shipped_code.FOLDER = Path(os.devnull)
     system = load(_ROBOT)
     began = time.perf_counter()
     CALLS[call](system)
-    print(time.perf_counter() - began, "numba" in sys.modules)
+    print(time.perf_counter() - began)

@@ -304,7 +304,7 @@ def _bench_derivatives(name: str) -> SimpleNamespace:
     ]
     often: Any = {"rounds": _DERIVATIVE_ROUNDS, "span": _BURST}
     run, jvp, vjp = fastest(flows, **often)
-    rate, *kernels = fastest(_kernels(made), **often)
+    rate, *kernels = fastest(kernel_repetitions(made), **often)
     model, data = system.model, system.model.createData()
     q, v, tau = pin.neutral(model), np.ones(model.nv), np.zeros(model.nv)
     functions = (pin.aba, pin.computeABADerivatives)
@@ -318,7 +318,7 @@ def _bench_derivatives(name: str) -> SimpleNamespace:
     )  # fmt: skip
 
 
-def _kernels(made: Flow) -> list[Any]:
+def kernel_repetitions(made: Flow) -> list[Any]:
     """Return repetitions of the rate, then of its derivatives in the order of DerivativeTiming."""
     kernel = made.propagator.kernel
     function = rate_of(kernel)

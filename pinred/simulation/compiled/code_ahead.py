@@ -7,7 +7,6 @@ depends on their types only.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -17,18 +16,17 @@ import numpy as np
 
 from ...common.arrays import read_only
 from ...common.compile_ahead import Part, spare_processors
-from ...common.machine_code import archive_of, create_machine, emit_object
+from ...common.machine_code import archive_of, create_machine, emit_object, parse_bitcode
 from ...integrators.integrate_many import checked_batch
 from ...integrators.methods.method import Explicit, Method, stepper_of
 from ...integrators.stepping import shipped_code, wrapped_code
 from ...integrators.stepping.argument_types import argument_type, plain_value
-from ...integrators.stepping.call_wrapper import COMPILED, CallWrapper, objects_are_as_expected
+from ...integrators.stepping.call_wrapper import CallWrapper, objects_are_as_expected
 from ...integrators.stepping.replay import Replay
 from ...integrators.stepping.run_state import new_run
 from .divided_code import divide
 
 _LANES = 8  # members of a batch at once, unless the robot is small
-_LEVEL = wrapped_code._LEVEL  # noqa: SLF001 - the objects belong to `wrapped_code`
 _requested: set[tuple[str, type[Method], int]] = set()  # kinds of calls, methods and their orders
 
 
@@ -149,10 +147,8 @@ def _expect(function: Any, *arguments: Any) -> None:
     """Let other threads generate the code of a function for arguments of these types."""
     types = tuple(map(argument_type, map(plain_value, arguments)))
     known = tuple(kind for kind in types if kind is not None)
-    if len(known) < len(types) or os.environ.get("NUMBA_CPU_NAME"):
-        return
     # Code in memory is not generated again, even if no cache could store it.
-    if known in function._by_types:  # noqa: SLF001
+    if len(known) < len(types) or function.has_code(known):
         return
     python = function.py_func
     name = shipped_code.shipped_name(python, known, function.stamp)
@@ -165,16 +161,16 @@ def _expect(function: Any, *arguments: Any) -> None:
         bitcode = shipped_code.read_shipped(name)
         result, context = bitcode.result, llvm.create_context()
         wrapper = CallWrapper(python.__name__, known, result)
-        module = llvm.parse_bitcode(bitcode.module, context)
-        parameters = [str(p.type) for p in module.get_function(COMPILED).arguments]
-        texts = [*divide(module), wrapper.text] if parameters == wrapper.parameters else []
+        module = parse_bitcode(bitcode.module, context)
+        wrapped_code.check_parameters(wrapper, module)
+        texts = [*divide(module), wrapper.text]
         module.close()  # before its context is deleted
         return [partial(_generate, text) for text in texts]
 
     def join(codes: Sequence[bytes]) -> bytes:
         return result.encode() + b"\n" + archive_of(codes)
 
-    key = wrapped_code._key(name)  # noqa: SLF001 - the object belongs to `wrapped_code`
+    key = wrapped_code.key_of(name)
     wrapped_code.STORE.compile_ahead(key, parts, join, "an integrator, once for all robots")
 
 
@@ -182,6 +178,6 @@ def _generate(text: str) -> bytes:
     """Generate object code of LLVM assembly."""
     context = llvm.create_context()
     module = llvm.parse_assembly(text, context)
-    code = emit_object(create_machine(_LEVEL), module)
+    code = emit_object(create_machine(wrapped_code.LEVEL), module)
     module.close()  # before its context is deleted
     return code

@@ -124,7 +124,6 @@ def integrator(
     ) -> Segment:
         # The time of an integration starts at 0; time-dependent equations have the true time in y.
         is_complete = chunk is None and start == 0.0 and end == scene.end
-        # Pass read-only arrays only: numba would compile another version for writable arrays.
         done = progress and (lambda part: progress((start + part * (end - start)) / scene.end))
         y0 = y0 if y0.size else np.zeros(1)
 
