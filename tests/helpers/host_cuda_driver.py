@@ -114,6 +114,7 @@ class _HostDriver(ModuleType):
         memory: Arrays by their address in the memory of devices.
         contexts: The stack of current contexts.
         launched: Context and number of members of each launch.
+        ended: Number of launches whose threads have ended.
         modules: Code, and its number of parameters, by context and address.
         streams: What waits in each stream.
         copied: Sizes of all copies to devices, and from there [bytes].
@@ -128,6 +129,7 @@ class _HostDriver(ModuleType):
         self.memory: dict[int, Any] = {}
         self.contexts: list[str] = []
         self.launched: list[tuple[str, int]] = []
+        self.ended = 0
         self.modules: dict[tuple[str, int], tuple[NativeCode, int]] = {}
         self.streams: dict[int, list[Callable[[], object]]] = {}
         self.copied = [0, 0]
@@ -250,6 +252,7 @@ class _HostDriver(ModuleType):
             for _NUMBERS["ctaid"].value in range(blocks):
                 for _NUMBERS["tid"].value in range(threads):
                     run(*values)
+            self.ended += 1
 
         self.streams[stream].append(act)
         self.launched.append((function[0], values[0]))

@@ -73,16 +73,21 @@ def test_step_loop_rounds_each_operation(ptx: bytes) -> None:
     assert b"fma." not in loop
 
 
-def test_ptxas_assembles_the_ptx_with_a_known_stack(ptx: bytes, tmp_path: Path) -> None:
+def test_ptxas_assembles_the_ptx_with_a_known_stack(
+    kernel: Kernel, ptx: bytes, tmp_path: Path
+) -> None:
     """Recursion or calls by pointers would leave the size of the stack unknown."""
     source, target = tmp_path / "members.ptx", tmp_path / "members.cubin"
-    source.write_bytes(ptx)
-    command = [_ptxas(), "-arch=sm_90", "-O1", "-v", str(source), "-o", str(target)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "warning" not in done.stderr
-    assert "bytes cumulative stack size" in done.stderr
-    assert target.stat().st_size > 0
+    outputs = device_code.emit_ptx(device_code.outputs_ir(kernel, ("pose", "energy")))
+    for code in (ptx, outputs):
+        source.write_bytes(code)
+        command = [_ptxas(), "-arch=sm_90", "-O1", "-v", str(source), "-o", str(target)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert "warning" not in done.stderr
+        assert "bytes cumulative stack size" in done.stderr
+        assert target.stat().st_size > 0
+        target.unlink()
 
 
 def _ptxas() -> str:
@@ -280,7 +285,13 @@ def test_members_are_divided_among_launches_and_devices(
     driver.capabilities = [(8, 6), (9, 0), (9, 0), (10, 0)]
     driver.launched.clear()
     fractions: list[float] = []
-    assert np.array_equal(_states(kernel, fractions.append), expected)
+    before = driver.ended
+
+    def progress(fraction: float) -> None:
+        fractions.append(fraction)
+        assert driver.ended - before == len(fractions)
+
+    assert np.array_equal(_states(kernel, progress), expected)
     places, sizes = zip(*driver.launched, strict=True)
     assert places == ("context of 1", "context of 2") * 5
     assert sizes == (7,) * 9 + (3,)

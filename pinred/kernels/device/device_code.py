@@ -194,7 +194,7 @@ def ptx_of(kernel: Kernel, method: Explicit) -> bytes:
     Raises:
         UnsupportedOperationError: The code needs a function that devices do not have.
     """
-    advance = stepper_with_few_rows(method).loops.advance
+    advance: Any = stepper_with_few_rows(method).loops.advance
     loop = advance.py_func.__name__, advance.stamp
     return _cached_ptx(kernel, loop, lambda: device_ir(kernel, method))
 

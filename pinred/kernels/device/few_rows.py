@@ -7,7 +7,7 @@ are those of its stages.  Operations and numbers are those of `explicit/runge_ku
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -192,7 +192,7 @@ def _stepper(name: str, order: int, tableau: Tableau) -> Stepper:
         for k in indices:
             yield [weighted(row, Y, tableau.A[k]), Rate(row, rows.rates[k])]
 
-    parts = [*stages(NEW, range(1, s)), [weighted(NEW, Y, tableau.A[s])]]
+    parts: list[list[Sum | Rate]] = [*stages(NEW, range(1, s)), [weighted(NEW, Y, tableau.A[s])]]
     at_end: list[Sum | Rate] = [Rate(NEW, rows.rates[s])]
     if needs_end := bool(tableau.errors[:, s].any()):
         parts.append(at_end)
@@ -228,7 +228,7 @@ def _stepper(name: str, order: int, tableau: Tableau) -> Stepper:
     )
 
 
-def _finder(prefix: str, parts: list[list[Sum | Rate]], begin: int) -> Callable[..., int]:
+def _finder(prefix: str, parts: list[list[Sum | Rate]], begin: int) -> Any:
     """Return the function that finds the first entry that is not finite, stage by stage."""
     finder: Any = inlined(bind_globals(find_nothing, f"{prefix}_find_nothing"))
     for k, part in reversed([*enumerate([list[Sum | Rate](), *parts])]):
