@@ -170,7 +170,7 @@ def test_errors_decrease_with_tolerance() -> None:
         assert tight.wall > 0.0
     total, inside = result.of("pinred"), result.of("pinred-integration")
     assert [p.error for p in total] == [p.error for p in inside]
-    assert f"{result.of('aba-dop853')[0].shape:8.1e}" in str(result)
+    assert f"{result.of('aba-dop853')[0].shape:.3g}" in str(result)
 
 
 def test_own_method_with_fixed_steps_has_its_order() -> None:
@@ -264,7 +264,7 @@ def test_failed_methods_have_points_with_reason() -> None:
     assert all(np.isnan(p.wall) and np.isnan(p.error) for p in failures)
     assert result.of("broken") == []
     assert np.isnan(result.wall_at("broken", 1e-4))
-    assert "failed: stopped at t = 0.5 s" in str(result)
+    assert "stopped at t = 0.5 s" in str(result)
     assert len(result.of("pinred")) == len(OWN[0].tolerances)
 
 

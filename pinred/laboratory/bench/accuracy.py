@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from .problems import Problem, compute_drift, problems_named
 from .reference import Reference, reference_of
 from .solver import PreparedRun, Solver
 from .solvers import SOLVERS, solvers_named
-from .timing import alternating, repeated
+from .timing import Table, alternating, repeated
 from .work_precision import ERRORS, NAME, Point, WorkPrecision, read_record, write_record
 
 YARDSTICK = "pinred"  # method that every run contains, so that time ratios stay within a run
@@ -321,8 +321,6 @@ def _write_equal_error(folder: Path, results: Sequence[WorkPrecision]) -> None:
     write_table(folder / "equal_error.csv", columns, records)
 
 
-Table: TypeAlias = tuple[str, list[tuple[str, list[str]]]]  # title, and (name, cells) of each row
-
 OVERVIEW_ERRORS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-13)
 LOOSEST, TIGHTEST = 1e-4, 1e-13  # largest and smallest tolerance in the table of error / tolerance
 FOLLOWING = (YARDSTICK, "pinred-dop853", "pinred-gauss")  # methods in the table of error/tolerance
@@ -348,33 +346,23 @@ def overview(results: Sequence[WorkPrecision]) -> str:
 
 def _tables_of(results: Sequence[WorkPrecision], scenes: list[str]) -> str:
     names = list(dict.fromkeys(n for r in results if r.problem in scenes for n in r.about))
-    runs = {name: [_run_with_yardstick(results, scene, name) for scene in scenes] for name in names}
-
-    def table(title: str, cell: Callable[[WorkPrecision, str], str]) -> Table:
-        rows = {n: [cell(run, n) if run else "—" for run in runs[n]] for n in runs}
-        return title, [(name, cells) for name, cells in rows.items() if set(cells) != {"—"}]
-
-    tables = [
-        table(
-            f"error {error:.0e}: {YARDSTICK} [ms], and how many times longer others take",
-            partial(_time_cell, error),
+    kinds: dict[str, Callable[[WorkPrecision, str], str]] = {
+        f"error {error:.0e}: {YARDSTICK} [ms], and how many times longer others take": partial(
+            _time_cell, error
         )
         for error in OVERVIEW_ERRORS
-    ]
-    tables.append(
-        table(
-            f"error / tolerance, for tolerances of {LOOSEST:.0e} … {TIGHTEST:.0e}", _following_cell
-        )
-    )
-    name_width = max(map(len, names))
-    columns = zip(scenes, *(cells for _, rows in tables for _, cells in rows), strict=True)
-    widths = [2 + max(map(len, column)) for column in columns]
+    }
+    title = f"error / tolerance, for tolerances of {LOOSEST:.0e} … {TIGHTEST:.0e}"
+    kinds[title] = _following_cell
     texts = []
-    for title, rows in tables:
-        lines = [
-            _overview_row(name, cells, name_width, widths) for name, cells in [("", scenes), *rows]
-        ]
-        texts += ["\n".join([title, *lines])] if rows else []
+    for title, format_cell in kinds.items():
+        rows = []
+        for name in names:
+            runs = {scene: _run_with_yardstick(results, scene, name) for scene in scenes}
+            cells = {s: format_cell(run, name) if run else "—" for s, run in runs.items()}
+            if set(cells.values()) != {"—"}:
+                rows.append(SimpleNamespace(method=name, **cells))
+        texts += [str(Table("overview", tuple(rows), title=title))] if rows else []
     return "\n\n".join(texts)
 
 
@@ -406,8 +394,3 @@ def _following_cell(result: WorkPrecision, method: str) -> str:
         and point.error > result.reference_error
     ]
     return f"{min(ratios):.2g} … {max(ratios):.2g}" if ratios else "—"
-
-
-def _overview_row(name: str, cells: list[str], name_width: int, widths: list[int]) -> str:
-    padded = (f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
-    return f"{name:<{name_width}}" + "".join(padded)

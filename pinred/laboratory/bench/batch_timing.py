@@ -97,20 +97,14 @@ def _measure(problem: Problem, count: int, error: float, rounds: int) -> Table:
     scalar = speeds.get(OWN[1].name, np.nan)
     rows = [
         SimpleNamespace(
-            problem=problem.name, members=count, solver=solver.name, tolerance=tolerance,
-            error=reached, per_second=speeds[solver.name], times=speeds[solver.name] / scalar,
+            solver=solver.name, tolerance=tolerance, error=reached,
+            per_second=speeds[solver.name], times=speeds[solver.name] / scalar,
         )
         for solver, tolerance, reached, _ in ready
     ]  # fmt: skip
-    columns = {
-        "solver": "<22",
-        "tolerance": ">10.1e",
-        "error": ">9.1e",
-        "per_second": ">11.1f per second",
-        "times": ">7.2f",
-    }
     title = f"{problem.name}: {count} members of {problem.start.duration:g} s, one thread"
-    return Table("many", columns, tuple(rows), title, tuple(missing))
+    shared = {"problem": problem.name, "members": count}
+    return Table("many", tuple(rows), {"error": "rad | m"}, title, tuple(missing), shared)
 
 
 def _find_tolerance(
@@ -212,25 +206,21 @@ def _measure_threads(
             tracemalloc.stop()
         memory.append(
             SimpleNamespace(
-                robot=system.name, members=size, results=trajectories.y.nbytes, kept=kept,
+                members=size, results=trajectories.y.nbytes, kept=kept,
                 extra=peak - kept,
             )
         )  # fmt: skip
         report(0.8 + 0.1 * (k + 1))
     speedup = float(np.median(times[:, 0] / times[:, 1]))
     walls = [
-        SimpleNamespace(robot=system.name, members=members, threads=k + 1, wall=float(wall))
+        SimpleNamespace(threads=k + 1, wall=float(wall))
         for k, wall in enumerate(np.median(times, axis=0))
     ]
     title = f"{system.name}: {members} trajectories of {duration:g} s, whole call"
     notes = (f"two threads are {speedup:.2f} times faster",)
-    of_memory = {
-        "members": ">8",
-        "results": ">15 results [bytes]",
-        "kept": ">16 all kept [bytes]",
-        "extra": ">22 peak beyond it [bytes]",
-    }
+    robot = {"robot": system.name}
+    in_bytes = dict.fromkeys(("results", "kept", "extra"), "bytes")
     return [
-        Table("threads", {"threads": "<8", "wall": ">10.3f wall [s]"}, tuple(walls), title, notes),
-        Table("threads_memory", of_memory, tuple(memory)),
+        Table("threads", tuple(walls), {"wall": "s"}, title, notes, {**robot, "members": members}),
+        Table("threads_memory", tuple(memory), in_bytes, shared=robot),
     ]
