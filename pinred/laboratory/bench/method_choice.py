@@ -163,16 +163,16 @@ def _run(plan: Plan, rounds: int) -> tuple[Array, float]:
 _ROOTS = (pin.JointModelPlanar, pin.JointModelFreeFlyer)
 _JOINTS = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)
 _MOST_JOINTS = 8
+_DURATION = 2.0  # [s]
 _STIFFNESS = (-1.0, 4.0)  # decimal exponents of stiffnesses [N·m/rad]
 _RATIO = (-3.0, 0.5)  # decimal exponents of damping divided by stiffness [s]
 
 
-def held_robot(seed: int, duration: float = 2.0) -> Scene:
+def held_robot(seed: int) -> Scene:
     """Return a random robot from a random initial state, with forces at most of its joints.
 
     Args:
         seed: Seed of the robot, its forces and its initial state.
-        duration: Duration of the scene [s].
     Returns:
         The scene, which reports its end only.
     """
@@ -191,7 +191,7 @@ def held_robot(seed: int, duration: float = 2.0) -> Scene:
             forces.append(PD({name: float(rng.uniform(-0.5, 0.5))}, stiffness, damping))
     x0, xdot0 = rng.normal(scale=(0.3, 1.0), size=(system.m, 2)).T
     xi0 = rng.normal(scale=0.3, size=system.r)
-    return Scene(system=system, x0=x0, xdot0=xdot0, xi0=xi0, times=[duration], forces=forces)
+    return Scene(system=system, x0=x0, xdot0=xdot0, xi0=xi0, times=[_DURATION], forces=forces)
 
 
 def _tree(rng: np.random.Generator, seed: int) -> System:
