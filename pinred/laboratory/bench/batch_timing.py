@@ -9,27 +9,74 @@ from __future__ import annotations
 
 import time
 import tracemalloc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 
 from ...common.argument_kinds import checks_arguments
-from ...common.errors import InputError, PinredError
+from ...common.errors import InputError, IntegrationError, PinredError
 from ...common.progress import Progress, one_by_one, quiet, shown
+from ...integrators.integrate_many import Solutions, integrate_many
+from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
+from ...integrators.methods import DOP853
 from ...judge.distances import FullMotion
 from ...judge.reference_solution import FINEST
+from ...kernels.derived_code import wide_rate
 from ...scene.initial_state import random_state
+from ...simulation.members.integrate_members import lanes_of
 from ...simulation.members.trajectories import Trajectories
 from ...simulation.simulate_many import simulate_many
 from ...system.system import System
-from .member_batch import OWN, generate_members
 from .peers.heyoka import HEYOKA_BATCH
 from .peers.mujoco import ROLLOUT
-from .problems import Problem, problems_named
+from .problems import End, Problem, compile_members, generate_members, problems_named
 from .solver import PreparedRun, Solver
 from .timing import Table, alternating, repeated
+
+_TOLERANCES = tuple(10.0 ** (-k / 3) for k in range(18, 40))
+
+
+def _prepare(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> PreparedRun:
+    flows, method = compile_members(members), DOP853(rtol, 1e-2 * rtol)
+    kernel, times = flows.kernel, members[0].times
+    duration = members[0].start.duration
+    y0, params, quaternions = flows.y0, flows.parameters, kernel.layout.quaternions
+    run: Callable[[], Solutions]
+    if in_lanes:
+        lanes = lanes_of(method, kernel)
+        address = wide_rate(kernel, lanes, own_parameters=True).address
+        run = partial(
+            integrate_in_lanes, method, address, lanes, params, y0, duration, times, quaternions, 1
+        )
+    else:
+        address = kernel.rate.address
+        run = partial(integrate_many, method, address, params, y0, duration, times, quaternions, 1)
+
+    def end(solutions: Solutions, member: int) -> End:
+        if not solutions.ok.all():
+            raise IntegrationError(f"{method.name} did not integrate all members to their end")
+        return members[member].end(solutions.y[member, -1])
+
+    return PreparedRun(run, end)
+
+
+OWN = (
+    Solver(
+        "lanes",
+        "DOP853, members in SIMD lanes",
+        _TOLERANCES,
+        partial(_prepare, in_lanes=True),
+    ),
+    Solver(
+        "one by one",
+        "DOP853, the scalar integrator, one after another",
+        _TOLERANCES,
+        partial(_prepare, in_lanes=False),
+    ),
+)
+
 
 MEMBERS, ROUNDS, ERROR = 512, 5, 1e-8
 JUDGED = 2  # number of members whose final state is compared with Pinocchio's ABA

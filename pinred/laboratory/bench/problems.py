@@ -21,7 +21,8 @@ from ...judge.distances import FullMotion
 from ...judge.reference_solution import FullState
 from ...scene.initial_state import random_state
 from ...scene.scene import Scene
-from ...simulation.compiled.compiled_flow import CompiledFlow
+from ...simulation.compiled.compiled_flow import CompiledFlow, flows_of
+from ...simulation.members.member_groups import of_scenes
 from ...simulation.plan import plan_of
 from ...system.coordinates import InitialState
 from ...system.load import load
@@ -303,6 +304,31 @@ def problems_named(names: Sequence[str] | None = None) -> tuple[list[Problem], l
     unavailable = [n for n in requested if n in _EXAMPLES and not has_example_robots()]
     missing = [f"{name} is left out: {INSTALL_ROBOTS}" for name in unavailable]
     return [SCENES[name]() for name in requested if name not in unavailable], missing
+
+
+_SPREAD = 0.05  # standard deviation of the members' rates (relative) and shapes [rad | m]
+
+
+def generate_members(problem: Problem, count: int) -> list[Problem]:
+    """Generate members with random initial states near the initial state of a problem."""
+    rng, start, members = np.random.default_rng(0), problem.start, []
+    for _ in range(count):
+        factors = [1.0 + _SPREAD * rng.normal(size=len(v)) for v in (start.xdot, start.xi)]
+        state = InitialState(
+            x=start.x + _SPREAD * rng.normal(size=len(start.x)),
+            xdot=start.xdot * factors[0],
+            xi=start.xi * factors[1],
+            duration=start.duration,
+        )
+        members.append(Problem(problem.name, problem.about, problem.system, state))
+    return members
+
+
+def compile_members(members: Sequence[Problem]) -> CompiledFlow:
+    """Return the reduced initial states and the parameters of members with momentum."""
+    (group,) = of_scenes([member.scene(method="DOP853") for member in members]).groups
+    ((_, flows),) = flows_of(group.plan, group.given)
+    return flows
 
 
 @dataclass(frozen=True)
