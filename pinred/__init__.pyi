@@ -99,10 +99,10 @@ from .planning.gait_file import gait_schema as gait_schema
 from .planning.gait_file import load_gait as load_gait
 from .planning.optimisation.best_gait import BestGait as BestGait
 from .planning.optimisation.best_gait import Optimum as Optimum
-from .planning.optimisation.extremal import extremal as extremal
+from .planning.optimisation.best_gait import OptimumDistance as OptimumDistance
+from .planning.optimisation.best_gait import extremal as extremal
 from .planning.optimisation.extremal_loop import Extremal as Extremal
 from .planning.optimisation.optimise import optimise_gait as optimise_gait
-from .planning.optimisation.optimum_distance import OptimumDistance as OptimumDistance
 from .planning.reorientation.flight_plan import FlightPlan as FlightPlan
 from .planning.reorientation.reorient import reorient as reorient
 from .planning.reorientation.turn_plan import TurnPlan as TurnPlan

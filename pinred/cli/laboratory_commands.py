@@ -87,7 +87,9 @@ def run_bench(arguments: argparse.Namespace) -> int:
     tables = [results] if isinstance(results, bench.Table) else results
     print("\n\n".join(map(str, tables)))
     for file in dict.fromkeys(table.file for table in tables):
-        _write(folder, file, [vars(row) for table in tables if table.file == file for row in table])
+        _write(
+            folder, file, [row for table in tables if table.file == file for row in table.records]
+        )
     return 0
 
 

@@ -29,12 +29,11 @@ from ..integrators.stepping.kernel_call import (
     to_lanes,
 )
 from ..reduction.tree.identical_branches import Lanes, Mark
-from .adjoint_lanes import adjoint_in_lanes
 from .derived_code import derived_code, round_off_near
 from .kernel import Kernel
+from .lane_derivatives import adjoint_in_lanes, tangent_in_lanes
 from .machine.native import compile_object
 from .reduced_graph import ReducedGraph
-from .tangent_lanes import tangent_in_lanes
 from .validation import ROUND_OFF, require_agreement
 
 _STEP = 1e-3  # step of the finite differences, relative to the sizes of the columns

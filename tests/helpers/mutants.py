@@ -126,7 +126,7 @@ TESTS: dict[str, list[str]] = {
         "integrators/test_run_derivatives.py", "simulation/test_step_map.py",
         "simulation/test_flow_map.py",
     ],
-    "kernels/adjoint_lanes": ["kernels/test_identical_branches.py"],
+    "kernels/lane_derivatives": ["kernels/test_identical_branches.py"],
     "integrators": [
         "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
         "integrators/test_steppers.py", "integrators/test_batches.py",

@@ -42,9 +42,8 @@ from pinred.laboratory.bench import (
     timing,
     write_record,
 )
-from pinred.laboratory.bench.accuracy import overview
+from pinred.laboratory.bench.accuracy import _quadruple, overview
 from pinred.laboratory.bench.problems import compute_drift
-from pinred.laboratory.bench.reference import _quadruple
 from pinred.laboratory.bench.solvers import solvers_named
 from pinred.system.coordinates import InitialState
 
@@ -79,7 +78,7 @@ def test_reference_equals_closed_form(quadruple: bool, monkeypatch: pytest.Monke
     """Joint and base of coupled_planar rotate steadily; the centre of mass moves straight."""
     if quadruple and find_spec("heyoka") is None:
         pytest.skip("heyoka is not installed")
-    monkeypatch.setattr("pinred.laboratory.bench.reference.has_heyoka", lambda: quadruple)
+    monkeypatch.setattr("pinred.laboratory.bench.accuracy.has_heyoka", lambda: quadruple)
     problem = steady()
     result = reference_of(problem)
     assert result.error < (1e-14 if quadruple else 1e-12)
@@ -170,7 +169,7 @@ def test_errors_decrease_with_tolerance() -> None:
         assert tight.wall > 0.0
     total, inside = result.of("pinred"), result.of("pinred-integration")
     assert [p.error for p in total] == [p.error for p in inside]
-    assert f"{result.of('aba-dop853')[0].shape:8.1e}" in str(result)
+    assert f"{result.of('aba-dop853')[0].shape:.3g}" in str(result)
 
 
 def test_own_method_with_fixed_steps_has_its_order() -> None:
@@ -264,7 +263,7 @@ def test_failed_methods_have_points_with_reason() -> None:
     assert all(np.isnan(p.wall) and np.isnan(p.error) for p in failures)
     assert result.of("broken") == []
     assert np.isnan(result.wall_at("broken", 1e-4))
-    assert "failed: stopped at t = 0.5 s" in str(result)
+    assert "stopped at t = 0.5 s" in str(result)
     assert len(result.of("pinred")) == len(OWN[0].tolerances)
 
 
@@ -369,7 +368,7 @@ def test_bench_accuracy_rejects_unknown_names(capsys: pytest.CaptureFixture[str]
 def test_missing_package_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """The message says how to install it."""
     monkeypatch.setattr("pinred.laboratory.bench.peers.heyoka.has_heyoka", lambda: False)
-    monkeypatch.setattr("pinred.laboratory.bench.reference.has_heyoka", lambda: False)
+    monkeypatch.setattr("pinred.laboratory.bench.accuracy.has_heyoka", lambda: False)
     methods = solvers_named(["pinred", "heyoka", "heyoka-unrolled"])
     (result,) = bench_accuracy([short_planar()], methods=methods, effort=QUICK)
     assert list(result.about) == ["pinred"]

@@ -21,7 +21,9 @@ def counts() -> dict[str, tuple[float, ...]]:
     counts = {row.method: tuple(vars(row)[f"{e:.0e}"] for e in ERRORS) for row in result}
     lines = str(result).splitlines()
     assert lines[0] == result.title
-    assert lines[2].split()[1:] == [f"{n:.0f}" for n in counts["DOP853"]]
+    head, row = lines[1].split(), lines[2].split()
+    assert head == ["method", *(f"{error:.0e}" for error in ERRORS)]
+    assert row == ["DOP853", *(f"{n:.0f}" for n in counts["DOP853"])]
     return counts
 
 

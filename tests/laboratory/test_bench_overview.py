@@ -32,7 +32,7 @@ def test_overview_uses_ratios_within_runs() -> None:
     other = result("two", "a", powers("pinred", 1e-3, 0.5, 4))
     text = overview([first, again, other]).splitlines()
     start = text.index("error 1e-08: pinred [ms], and how many times longer others take")
-    assert text[start + 1].split() == ["one", "two"]
+    assert text[start + 1].split() == ["method", "one", "two"]
     rows = {line.split()[0]: line.split()[1:] for line in text[start + 2 : start + 5]}
     # error 1e-8 is a tolerance of 1e-8/3, and of 2e-8
     walls = [(1e-8 / 3.0) ** (-1 / 8), (2e-8) ** (-1 / 4)]
@@ -48,7 +48,7 @@ def test_overview_splits_scenes_into_blocks() -> None:
     """At most six scenes are side by side, with aligned columns."""
     results = [result(f"s{k}", "a", powers("pinred", 1e-3, 1.0, 8)) for k in range(14)]
     text = overview(results)
-    heads = [line.split() for line in text.splitlines() if line.lstrip().startswith("s")]
+    heads = [line.split()[1:] for line in text.splitlines() if line.startswith("method")]
     assert sorted({name for head in heads for name in head}) == sorted(f"s{k}" for k in range(14))
     assert max(map(len, heads)) == 6
     for table in text.split("\n\n"):

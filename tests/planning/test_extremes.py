@@ -12,7 +12,7 @@ from pinred.planning.optimisation import limits as extremes
 from pinred.planning.optimisation import limits as margins
 from pinred.planning.optimisation.limit_checks import LimitedLoop
 from pinred.planning.optimisation.limits import limits_of
-from pinred.planning.reorientation.joint_peaks import peaks_of
+from pinred.planning.reorientation.turning_loop import peaks_of
 
 T = 1.7  # s
 WHEEL = 1

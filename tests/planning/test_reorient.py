@@ -16,8 +16,7 @@ from trees import random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.planning.reorientation import turning_loop
-from pinred.planning.reorientation.tumbling import passage_of
-from pinred.planning.reorientation.turning_loop import first_loop
+from pinred.planning.reorientation.turning_loop import first_loop, passage_of
 
 ROBOTS = {
     "falling_cat": 1.6,

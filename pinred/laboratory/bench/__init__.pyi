@@ -4,7 +4,9 @@ from .accuracy import DEFAULT as DEFAULT
 from .accuracy import FULL as FULL
 from .accuracy import QUICK as QUICK
 from .accuracy import Effort as Effort
+from .accuracy import Reference as Reference
 from .accuracy import bench_accuracy as bench_accuracy
+from .accuracy import reference_of as reference_of
 from .batch_timing import bench_many as bench_many
 from .batch_timing import bench_threads as bench_threads
 from .call_timing import bench_compare as bench_compare
@@ -22,8 +24,6 @@ from .problems import SCENES as SCENES
 from .problems import End as End
 from .problems import Problem as Problem
 from .problems import problems_named as problems_named
-from .reference import Reference as Reference
-from .reference import reference_of as reference_of
 from .soft_constraints import bench_loops as bench_loops
 from .soft_constraints import bench_stops as bench_stops
 from .solver import PreparedRun as PreparedRun

@@ -1,6 +1,11 @@
 """Run time against error, for every method at every tolerance, timed in alternating rounds.
 
 Results can be recorded in a folder; a run then continues the record of earlier runs.
+
+Errors refer to a reference solution, whose own error is estimated. With heyoka, Taylor's method
+solves pinred's reduced equations in quadruple precision, at two tolerances and from an initial
+state that differs by round-off. Without heyoka, Hairer's DOP853 solves the equations of the full
+state. In both cases the result is compared with Pinocchio's ABA on the full state.
 """
 
 from __future__ import annotations
@@ -10,20 +15,25 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import TypeAlias
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from ...common.argument_kinds import checks_arguments
+from ...common.arrays import Array
 from ...common.errors import IntegrationError, PinredError
 from ...common.files import write_atomic, write_table
 from ...common.waiting import Progress, ProgressBar, quiet, shown
+from ...judge.distances import FullMotion
+from ...judge.reference_solution import FINEST
+from .peers.heyoka import has_heyoka, reduced_graph, taylor_expressions
 from .problems import Problem, compute_drift, problems_named
-from .reference import Reference, reference_of
 from .solver import PreparedRun, Solver
 from .solvers import SOLVERS, solvers_named
-from .timing import alternating, repeated
+from .timing import Table, alternating, repeated
 from .work_precision import ERRORS, NAME, Point, WorkPrecision, read_record, write_record
 
 YARDSTICK = "pinred"  # method that every run contains, so that time ratios stay within a run
@@ -321,8 +331,6 @@ def _write_equal_error(folder: Path, results: Sequence[WorkPrecision]) -> None:
     write_table(folder / "equal_error.csv", columns, records)
 
 
-Table: TypeAlias = tuple[str, list[tuple[str, list[str]]]]  # title, and (name, cells) of each row
-
 OVERVIEW_ERRORS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-13)
 LOOSEST, TIGHTEST = 1e-4, 1e-13  # largest and smallest tolerance in the table of error / tolerance
 FOLLOWING = (YARDSTICK, "pinred-dop853", "pinred-gauss")  # methods in the table of error/tolerance
@@ -348,33 +356,23 @@ def overview(results: Sequence[WorkPrecision]) -> str:
 
 def _tables_of(results: Sequence[WorkPrecision], scenes: list[str]) -> str:
     names = list(dict.fromkeys(n for r in results if r.problem in scenes for n in r.about))
-    runs = {name: [_run_with_yardstick(results, scene, name) for scene in scenes] for name in names}
-
-    def table(title: str, cell: Callable[[WorkPrecision, str], str]) -> Table:
-        rows = {n: [cell(run, n) if run else "—" for run in runs[n]] for n in runs}
-        return title, [(name, cells) for name, cells in rows.items() if set(cells) != {"—"}]
-
-    tables = [
-        table(
-            f"error {error:.0e}: {YARDSTICK} [ms], and how many times longer others take",
-            partial(_time_cell, error),
+    kinds: dict[str, Callable[[WorkPrecision, str], str]] = {
+        f"error {error:.0e}: {YARDSTICK} [ms], and how many times longer others take": partial(
+            _time_cell, error
         )
         for error in OVERVIEW_ERRORS
-    ]
-    tables.append(
-        table(
-            f"error / tolerance, for tolerances of {LOOSEST:.0e} … {TIGHTEST:.0e}", _following_cell
-        )
-    )
-    name_width = max(map(len, names))
-    columns = zip(scenes, *(cells for _, rows in tables for _, cells in rows), strict=True)
-    widths = [2 + max(map(len, column)) for column in columns]
+    }
+    title = f"error / tolerance, for tolerances of {LOOSEST:.0e} … {TIGHTEST:.0e}"
+    kinds[title] = _following_cell
     texts = []
-    for title, rows in tables:
-        lines = [
-            _overview_row(name, cells, name_width, widths) for name, cells in [("", scenes), *rows]
-        ]
-        texts += ["\n".join([title, *lines])] if rows else []
+    for title, format_cell in kinds.items():
+        rows = []
+        for name in names:
+            runs = {scene: _run_with_yardstick(results, scene, name) for scene in scenes}
+            cells = {s: format_cell(run, name) if run else "—" for s, run in runs.items()}
+            if set(cells.values()) != {"—"}:
+                rows.append(SimpleNamespace(method=name, **cells))
+        texts += [str(Table("overview", tuple(rows), title=title))] if rows else []
     return "\n\n".join(texts)
 
 
@@ -408,6 +406,89 @@ def _following_cell(result: WorkPrecision, method: str) -> str:
     return f"{min(ratios):.2g} … {max(ratios):.2g}" if ratios else "—"
 
 
-def _overview_row(name: str, cells: list[str], name_width: int, widths: list[int]) -> str:
-    padded = (f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
-    return f"{name:<{name_width}}" + "".join(padded)
+_QUAD = (1e-23, 1e-20)  # tolerances in quadruple precision
+_EPS = float(np.finfo(float).eps)
+CONFIRMED = 1e-9  # distance from ABA above which it counts as the error of the reference [rad | m]
+
+
+@checks_arguments
+@dataclass(frozen=True)
+class Reference:
+    """The final state of a problem.
+
+    Attributes:
+        end: The final state.
+        error: Estimated error [rad | m]; smaller errors of methods cannot be resolved.
+        independent: Distance from Pinocchio's ABA under DOP853 in double precision [rad | m].
+        about: Description of the computation.
+    """
+
+    end: FullMotion
+    error: float
+    independent: float
+    about: str
+
+
+@checks_arguments
+def reference_of(problem: Problem) -> Reference:
+    """Compute the final state of a problem.
+
+    Args:
+        problem: The problem.
+    Returns:
+        The reference.
+    Raises:
+        IntegrationError: The motion cannot be integrated at the tightest tolerance.
+    """
+    y0, times = problem.full_start(), problem.times
+    aba = problem.full.run(y0, times, *FINEST)
+    if has_heyoka():
+        return _quadruple(problem, aba)
+    second = problem.full.run(y0, times, *FINEST, method="dopri5")
+    error = problem.apart(aba, second)
+    return Reference(
+        aba, error, error, f"ABA on the full state, by DOP853 and DOPRI5 at {FINEST[0]:g}"
+    )
+
+
+def _quadruple(problem: Problem, aba: FullMotion) -> Reference:
+    hy = import_module("heyoka")
+    flow, duration = problem.flow, problem.start.duration
+    expressions = taylor_expressions(reduced_graph(problem), flow.parameters.tolist())
+
+    def end(y: Any) -> FullMotion:
+        return problem.end(np.array([float(value) for value in y])).motion
+
+    def integrator(tolerance: float) -> Any:
+        y0 = [hy.real128(value) for value in flow.y0.tolist()]
+        return hy.taylor_adaptive(
+            expressions, y0, tol=hy.real128(tolerance), compact_mode=True, fp_type=hy.real128
+        )
+
+    def propagate(ta: Any, y0: Array) -> Any:
+        ta.time = hy.real128(0.0)
+        ta.state[:] = [hy.real128(value) for value in y0.tolist()]
+        outcome, *_ = ta.propagate_until(hy.real128(duration))
+        if outcome.name != "time_limit":
+            raise IntegrationError(f"heyoka stopped with {outcome.name} at t = {float(ta.time):g}")
+        return np.array(ta.state)
+
+    if not flow.y0.size:  # a single body in pure translation has no reduced state
+        return Reference(aba, _EPS, 0.0, "closed form")
+    ends = [propagate(integrator(_QUAD[0]), flow.y0)]
+    coarse = integrator(_QUAD[1])
+    ends.append(propagate(coarse, flow.y0))
+    rng = np.random.default_rng(0)
+    perturbed = propagate(coarse, flow.y0 * (1.0 + _EPS * rng.choice([-1.0, 1.0], flow.y0.size)))
+    converged = max(float(abs(a - b)) for a, b in zip(*ends, strict=True))
+    truth = end(ends[0])
+    # Even an exact integration has the round-off of the initial momenta and of the final state.
+    rounding = max(problem.apart(truth, end(perturbed)), 4.0 * _EPS)
+    independent = problem.apart(truth, aba)
+    error = max(converged, rounding)
+    about = (
+        f"heyoka in quadruple precision (converged to {converged:.0e}; round-off of the initial "
+        f"values changes it by {rounding:.0e}); ABA on the full state in double precision is "
+        f"{independent:.0e} away"
+    )
+    return Reference(truth, error if independent < CONFIRMED else independent, independent, about)

@@ -9,27 +9,74 @@ from __future__ import annotations
 
 import time
 import tracemalloc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 
 from ...common.argument_kinds import checks_arguments
-from ...common.errors import InputError, PinredError
+from ...common.errors import InputError, IntegrationError, PinredError
 from ...common.waiting import Progress, one_by_one, quiet, shown
+from ...integrators.integrate_many import Solutions, integrate_many
+from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
+from ...integrators.methods import DOP853
 from ...judge.distances import FullMotion
 from ...judge.reference_solution import FINEST
+from ...kernels.derived_code import wide_rate
 from ...scene.initial_state import random_state
+from ...simulation.members.integrate_members import lanes_of
 from ...simulation.members.trajectories import Trajectories
 from ...simulation.simulate_many import simulate_many
 from ...system.system import System
-from .member_batch import OWN, generate_members
 from .peers.heyoka import HEYOKA_BATCH
 from .peers.mujoco import ROLLOUT
-from .problems import Problem, problems_named
+from .problems import End, Problem, compile_members, generate_members, problems_named
 from .solver import PreparedRun, Solver
 from .timing import Table, alternating, repeated
+
+_TOLERANCES = tuple(10.0 ** (-k / 3) for k in range(18, 40))
+
+
+def _prepare(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> PreparedRun:
+    flows, method = compile_members(members), DOP853(rtol, 1e-2 * rtol)
+    kernel, times = flows.kernel, members[0].times
+    duration = members[0].start.duration
+    y0, params, quaternions = flows.y0, flows.parameters, kernel.layout.quaternions
+    run: Callable[[], Solutions]
+    if in_lanes:
+        lanes = lanes_of(method, kernel)
+        address = wide_rate(kernel, lanes, own_parameters=True).address
+        run = partial(
+            integrate_in_lanes, method, address, lanes, params, y0, duration, times, quaternions, 1
+        )
+    else:
+        address = kernel.rate.address
+        run = partial(integrate_many, method, address, params, y0, duration, times, quaternions, 1)
+
+    def end(solutions: Solutions, member: int) -> End:
+        if not solutions.ok.all():
+            raise IntegrationError(f"{method.name} did not integrate all members to their end")
+        return members[member].end(solutions.y[member, -1])
+
+    return PreparedRun(run, end)
+
+
+OWN = (
+    Solver(
+        "lanes",
+        "DOP853, members in SIMD lanes",
+        _TOLERANCES,
+        partial(_prepare, in_lanes=True),
+    ),
+    Solver(
+        "one by one",
+        "DOP853, the scalar integrator, one after another",
+        _TOLERANCES,
+        partial(_prepare, in_lanes=False),
+    ),
+)
+
 
 MEMBERS, ROUNDS, ERROR = 512, 5, 1e-8
 JUDGED = 2  # number of members whose final state is compared with Pinocchio's ABA
@@ -97,20 +144,14 @@ def _measure(problem: Problem, count: int, error: float, rounds: int) -> Table:
     scalar = speeds.get(OWN[1].name, np.nan)
     rows = [
         SimpleNamespace(
-            problem=problem.name, members=count, solver=solver.name, tolerance=tolerance,
-            error=reached, per_second=speeds[solver.name], times=speeds[solver.name] / scalar,
+            solver=solver.name, tolerance=tolerance, error=reached,
+            per_second=speeds[solver.name], times=speeds[solver.name] / scalar,
         )
         for solver, tolerance, reached, _ in ready
     ]  # fmt: skip
-    columns = {
-        "solver": "<22",
-        "tolerance": ">10.1e",
-        "error": ">9.1e",
-        "per_second": ">11.1f per second",
-        "times": ">7.2f",
-    }
     title = f"{problem.name}: {count} members of {problem.start.duration:g} s, one thread"
-    return Table("many", columns, tuple(rows), title, tuple(missing))
+    shared = {"problem": problem.name, "members": count}
+    return Table("many", tuple(rows), {"error": "rad | m"}, title, tuple(missing), shared)
 
 
 def _find_tolerance(
@@ -212,25 +253,21 @@ def _measure_threads(
             tracemalloc.stop()
         memory.append(
             SimpleNamespace(
-                robot=system.name, members=size, results=trajectories.y.nbytes, kept=kept,
+                members=size, results=trajectories.y.nbytes, kept=kept,
                 extra=peak - kept,
             )
         )  # fmt: skip
         report(0.8 + 0.1 * (k + 1))
     speedup = float(np.median(times[:, 0] / times[:, 1]))
     walls = [
-        SimpleNamespace(robot=system.name, members=members, threads=k + 1, wall=float(wall))
+        SimpleNamespace(threads=k + 1, wall=float(wall))
         for k, wall in enumerate(np.median(times, axis=0))
     ]
     title = f"{system.name}: {members} trajectories of {duration:g} s, whole call"
     notes = (f"two threads are {speedup:.2f} times faster",)
-    of_memory = {
-        "members": ">8",
-        "results": ">15 results [bytes]",
-        "kept": ">16 all kept [bytes]",
-        "extra": ">22 peak beyond it [bytes]",
-    }
+    robot = {"robot": system.name}
+    in_bytes = dict.fromkeys(("results", "kept", "extra"), "bytes")
     return [
-        Table("threads", {"threads": "<8", "wall": ">10.3f wall [s]"}, tuple(walls), title, notes),
-        Table("threads_memory", of_memory, tuple(memory)),
+        Table("threads", tuple(walls), {"wall": "s"}, title, notes, {**robot, "members": members}),
+        Table("threads_memory", tuple(memory), in_bytes, shared=robot),
     ]

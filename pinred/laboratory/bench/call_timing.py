@@ -104,13 +104,7 @@ def bench_compare(scenes: Sequence[str] = (), *, progress: Progress | bool | Non
         )
         for name, s, wall, verdict in zip(names, seconds, walls, verdicts, strict=True)
     ]
-    columns = {
-        "scene": "<28",
-        "seconds": ">12.3f compare [s]",
-        "integrations": ">13.1f",
-        "verdict": "<7",
-    }
-    return Table("compare", columns, tuple(rows))
+    return Table("compare", tuple(rows), {"seconds": "s"})
 
 
 # Robots with one rotation axis, and their angular momentum J [N·m·s].
@@ -137,15 +131,10 @@ def bench_floquet(*, rounds: int = 5, progress: Progress | bool | None = None) -
         multipliers relative to the largest |μ|.
     """
     measure = partial(_measure_routes, rounds=rounds)
-    columns = {
-        "robot": "<26",
-        "period": ">10.3f period [s]",
-        "route": "<32",
-        "wall": ">9.5f wall [s]",
-        "error": ">9.1e",
-    }
     rows = one_by_one(list(PROBLEMS), measure, progress, "floquet")
-    return Table("floquet", columns, tuple(row for some in rows for row in some))
+    return Table(
+        "floquet", tuple(row for some in rows for row in some), {"period": "s", "wall": "s"}
+    )
 
 
 def _measure_routes(name: str, rounds: int) -> list[SimpleNamespace]:
@@ -225,13 +214,7 @@ def bench_films(robots: Sequence[str] = (), *, progress: Progress | bool | None 
         its encoding [s], and frames per second.
     """
     names = robots_to_measure(robots, _FILMED, _FILMED_EXAMPLES)
-    columns = {
-        "robot": "<20",
-        "triangles": ">10",
-        "frame": ">10.4f frame [s]",
-        "per_second": ">11.1f per second",
-    }
-    return Table("films", columns, tuple(one_by_one(names, _bench_film, progress, "films")))
+    return Table("films", tuple(one_by_one(names, _bench_film, progress, "films")), {"frame": "s"})
 
 
 def _bench_film(name: str) -> SimpleNamespace:

@@ -99,10 +99,10 @@ def _count_evaluations(problem: Problem) -> Table:
             f"{target:.0e}": min((n for error, n in points if error <= target), default=np.nan)
             for target in ERRORS
         }
-        rows.append(SimpleNamespace(problem=problem.name, method=name, **counts))
-    columns = {"method": f"<{max(map(len, runs))} error"} | {f"{e:.0e}": ">8.0f" for e in ERRORS}
+        rows.append(SimpleNamespace(method=name, **counts))
     title = f"{problem.name}: {problem.about}"
-    return Table("evaluations", columns, tuple(rows), title, notes)
+    shared = {"problem": problem.name}
+    return Table("evaluations", tuple(rows), title=title, notes=notes, shared=shared)
 
 
 def _by_pinred(problem: Problem, make: Callable[[float], Method], stages: int = 1) -> Run:

@@ -82,8 +82,8 @@ def bench_first_calls(
         seconds = float(np.median([_in_fresh_process(name) for _ in range(_ROUNDS)]))
         return SimpleNamespace(call=name, seconds=seconds)
 
-    columns = {"call": "<20 first call", "seconds": ">8.2f time [s]"}
-    return Table("first_calls", columns, tuple(one_by_one(names, measure, progress, "calls")))
+    rows = tuple(one_by_one(names, measure, progress, "calls"))
+    return Table("first_calls", rows, {"seconds": "s"})
 
 
 def _in_fresh_process(call: str) -> float:

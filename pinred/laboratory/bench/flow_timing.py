@@ -36,7 +36,6 @@ from .timing import Table, fastest, repeated, robots_to_measure
 
 _SPAN = 2.0  # duration of the motion [s]
 _COUNT = 200  # number of evaluations in one timed call
-_MICROSECONDS = {"integration": 12, "call": 7, "simulate": 9, "step": 7}  # widths of columns
 _ROUNDS, _BURST = 300, 1e-3  # many short rounds [s], so that some are not interrupted
 
 
@@ -55,22 +54,12 @@ def bench_flow(robots: Sequence[str] = (), *, progress: Progress | bool | None =
         pinred's. `adjoint`, `free`, `placed` and `generic` are relative to an evaluation of the
         rate; `cvodes` and `apart` compare with CVODES's adjoint (CasADi, same tolerance).
     """
-    columns = {
-        "robot": "<20",
-        "steps": ">6",
-        **{name: f">{width}.1f {name}\n[µs]" for name, width in _MICROSECONDS.items()},
-        **{name: f">9.2f {name}\n[runs]" for name in ("gradient", "inertias")},
-        "gauss": ">9.2f by Gauss\n[runs]",
-        "jax": ">6.1f JAX\n[+µs]",
-        "jax_gradient": ">12.1f its gradient\n[+µs]",
-        "cvodes": ">7.0f CVODES\n[×]",
-        "apart": ">8.1e",
-        "adjoint": ">8.2f adjoint\n[rates]",
-        **{name: f">7.2f {name}\n[×]" for name in ("free", "placed", "generic")},
-        "stored": ">12 bytes/step",
-    }
     rows = one_by_one(robots_to_measure(robots), _bench_flow, progress, "flows")
-    return Table("flow", columns, tuple(rows))
+    units = dict.fromkeys(("integration", "call", "simulate", "step"), "µs")
+    units |= dict.fromkeys(("gradient", "inertias", "gauss"), "runs")
+    units |= dict.fromkeys(("jax", "jax_gradient"), "+µs") | {"cvodes": "×", "adjoint": "rates"}
+    units |= dict.fromkeys(("free", "placed", "generic"), "×") | {"stored": "bytes/step"}
+    return Table("flow", tuple(rows), units)
 
 
 def _bench_flow(name: str) -> SimpleNamespace:
@@ -278,17 +267,10 @@ def bench_derivatives(
         derivative along one direction and gradient in runs, which they include; derivatives of
         kernels in evaluations of the rate; Pinocchio's computeABADerivatives in its aba.
     """
-    columns = {
-        "robot": "<20",
-        "joints": ">6",
-        **{name: f">9.2f {name}\n[runs]" for name in ("jvp", "vjp")},
-        **{name: f">9.2f {name}\n[rates]" for name in ("direction", "eight", "adjoint")},
-        "jacobian": ">9.2f Jacobian\n[rates]",
-        "columns": ">9.2f columns\n[rates]",
-        "pinocchio": ">9.2f Pinocchio\n[aba]",
-    }
     rows = one_by_one(robots_to_measure(robots), _bench_derivatives, progress, "derivatives")
-    return Table("derivatives", columns, tuple(rows))
+    units = dict.fromkeys(("jvp", "vjp"), "runs") | {"pinocchio": "aba"}
+    units |= dict.fromkeys(("direction", "eight", "adjoint", "jacobian", "columns"), "rates")
+    return Table("derivatives", tuple(rows), units)
 
 
 def _bench_derivatives(name: str) -> SimpleNamespace:

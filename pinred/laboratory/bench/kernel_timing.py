@@ -53,16 +53,8 @@ def bench_kernels(robots: Sequence[str] = (), *, progress: Progress | bool | Non
         and of `pin.aba` called from Python [µs], and the ratio of these two.
     """
     names = robots_to_measure(robots, _BUNDLED, _EXAMPLES)
-    columns = {
-        "robot": "<20",
-        "joints": ">6",
-        "instructions": ">12",
-        "build": ">10.3f build [s]",
-        "kernel": ">12.4f kernel [µs]",
-        "aba": ">13.2f pin.aba [µs]",
-        "ratio": ">7.1f",
-    }
-    return Table("kernels", columns, tuple(one_by_one(names, _bench_kernel, progress, "kernels")))
+    rows = tuple(one_by_one(names, _bench_kernel, progress, "kernels"))
+    return Table("kernels", rows, {"build": "s", "kernel": "µs", "pin_aba": "µs"})
 
 
 def _bench_kernel(name: str) -> SimpleNamespace:
@@ -77,7 +69,7 @@ def _bench_kernel(name: str) -> SimpleNamespace:
     own, aba = (1e6 * np.median(alternating(actions), axis=0)).tolist()
     return SimpleNamespace(
         robot=name, joints=system.m, instructions=kernel.instructions, build=build, kernel=own,
-        aba=aba, ratio=aba / own,
+        pin_aba=aba, ratio=aba / own,
     )  # fmt: skip
 
 
@@ -104,16 +96,8 @@ def bench_forces(robots: Sequence[str] = (), *, progress: Progress | bool | None
         torques that depend on attitude and angular velocity, with a constant wrench, and with a
         wrench that depends on pose and twist; the numbers of integrated states of the four kernels.
     """
-    columns = {
-        "robot": "<20",
-        "free": ">10.3f free [µs]",
-        "torque": ">17.3f torque, attitude",
-        "wrench": ">8.3f",
-        "full": ">23.3f wrench, pose and twist",
-        "integrated": ">16",
-    }
     rows = one_by_one(robots_to_measure(robots), _bench_forces, progress, "forces")
-    return Table("forces", columns, tuple(rows))
+    return Table("forces", tuple(rows), {"free": "µs"})
 
 
 def _bench_forces(name: str) -> SimpleNamespace:
@@ -191,24 +175,17 @@ def bench_scaling(
     medians = np.median(times, axis=0)
     rows = [
         SimpleNamespace(
-            family=family, joints=n, instructions=kernel.instructions, build=build,
+            joints=n, instructions=kernel.instructions, build=build,
             kernel=1e6 * seconds, per_joint=1e9 * seconds / n,
         )
-        for (family, n), kernel, build, seconds in zip(cases, kernels, builds, medians, strict=True)
+        for (_, n), kernel, build, seconds in zip(cases, kernels, builds, medians, strict=True)
     ]  # fmt: skip
-    return [scaling_table(tuple(row for row in rows if row.family == name)) for name in FAMILIES]
+    count = len(joints)
+    return [scaling_table(name, rows[k * count :][:count]) for k, name in enumerate(FAMILIES)]
 
 
-def scaling_table(rows: tuple[SimpleNamespace, ...]) -> Table:
+def scaling_table(family: str, rows: Sequence[SimpleNamespace]) -> Table:
     """Return the table of one family of chains, with the exponents of the number of joints."""
-    columns = {
-        "family": "<8",
-        "joints": ">6",
-        "instructions": ">12",
-        "build": ">10.3f build [s]",
-        "kernel": ">12.4f kernel [µs]",
-        "per_joint": ">13.1f ns per joint",
-    }
     long = [row for row in rows if row.joints >= LONG]
     notes: tuple[str, ...] = ()
     if len(long) > 1:
@@ -219,4 +196,5 @@ def scaling_table(rows: tuple[SimpleNamespace, ...]) -> Table:
             f"from {LONG} joints on, time grows with their number to the power {time_slope:.2f}, "
             f"instructions {instruction_slope:.2f}",
         )
-    return Table("scaling", columns, rows, notes=notes)
+    units = {"build": "s", "kernel": "µs", "per_joint": "ns"}
+    return Table("scaling", tuple(rows), units, f"{family} chain", notes, {"family": family})

@@ -27,9 +27,8 @@ from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.compiled.integrator import integrator
 from ...simulation.plan import Plan, plan_of
-from ...system.load import load
 from ...system.system import System
-from .problems import SCENES, problems_named
+from .problems import SCENES, Link, build_tree, problems_named
 from .timing import Table, alternating, repeated
 
 METHODS = ("DOP853", "Tsit5", "AdaptiveGauss", "Radau")
@@ -67,16 +66,14 @@ def bench_methods(
     cases = list(_cases(scenes or None, held))
     results = one_by_one(cases, lambda case: measure(*case), progress, "methods")
     rows = tuple(row for row in results if row is not None)
-    columns = {"scene": "<26", "chosen": "<13", "ratio": ">6.2f"}
-    for name in METHODS:
-        columns |= {f"{name} cpu": f">14.3g {name} [s]", f"{name} error": ">8.0e error"}
     ratios = np.array([row.ratio for row in rows])
     share = 100.0 * float((ratios <= GOOD).mean())
     note = (
         f"{share:.1f} % of {len(ratios)} scenes within {GOOD:g} times the fastest method that "
         f"is at least as accurate; largest ratio {ratios.max():.2f} (bars: 95 %, {WORST:g})"
     )
-    return Table("methods", columns, rows, notes=(note,))
+    units = {f"{name} cpu": "s" for name in METHODS}
+    return Table("methods", rows, units, notes=(note,))
 
 
 def _cases(names: Sequence[str] | None, held: int) -> Iterator[tuple[str, Scene]]:
@@ -166,16 +163,16 @@ def _run(plan: Plan, rounds: int) -> tuple[Array, float]:
 _ROOTS = (pin.JointModelPlanar, pin.JointModelFreeFlyer)
 _JOINTS = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)
 _MOST_JOINTS = 8
+_DURATION = 2.0  # [s]
 _STIFFNESS = (-1.0, 4.0)  # decimal exponents of stiffnesses [N·m/rad]
 _RATIO = (-3.0, 0.5)  # decimal exponents of damping divided by stiffness [s]
 
 
-def held_robot(seed: int, duration: float = 2.0) -> Scene:
+def held_robot(seed: int) -> Scene:
     """Return a random robot from a random initial state, with forces at most of its joints.
 
     Args:
         seed: Seed of the robot, its forces and its initial state.
-        duration: Duration of the scene [s].
     Returns:
         The scene, which reports its end only.
     """
@@ -194,23 +191,21 @@ def held_robot(seed: int, duration: float = 2.0) -> Scene:
             forces.append(PD({name: float(rng.uniform(-0.5, 0.5))}, stiffness, damping))
     x0, xdot0 = rng.normal(scale=(0.3, 1.0), size=(system.m, 2)).T
     xi0 = rng.normal(scale=0.3, size=system.r)
-    return Scene(system=system, x0=x0, xdot0=xdot0, xi0=xi0, times=[duration], forces=forces)
+    return Scene(system=system, x0=x0, xdot0=xdot0, xi0=xi0, times=[_DURATION], forces=forces)
 
 
 def _tree(rng: np.random.Generator, seed: int) -> System:
     """Return a random tree of 1 to _MOST_JOINTS hinges on a free base."""
-    model = pin.Model()
-    model.name, model.gravity = f"held{seed}", pin.Motion.Zero()
     planar = rng.random() < 0.3
-    bodies = [model.addJoint(0, _ROOTS[not planar](), pin.SE3.Identity(), "base")]
-    model.appendBodyToJoint(bodies[0], _body(rng, 5.0), pin.SE3.Identity())
-    for k in range(int(rng.integers(1, _MOST_JOINTS + 1))):
+    links: list[Link] = [(_ROOTS[not planar](), np.zeros(3), _body(rng, 5.0))]
+    parents = [-1]
+    for _ in range(int(rng.integers(1, _MOST_JOINTS + 1))):
         joint = _JOINTS[2 if planar else int(rng.integers(3))]()
         lever = rng.uniform(-0.4, 0.4, 3) * ([1.0, 1.0, 0.0] if planar else [1.0, 1.0, 1.0])
-        parent = bodies[-1] if rng.random() < 0.7 else bodies[int(rng.integers(len(bodies)))]
-        bodies.append(model.addJoint(parent, joint, pin.SE3(np.eye(3), lever), f"joint{k}"))
-        model.appendBodyToJoint(bodies[-1], _body(rng, 1.0), pin.SE3.Identity())
-    return load(model)
+        last = len(links) - 1
+        parents.append(last if rng.random() < 0.7 else int(rng.integers(len(links))))
+        links.append((joint, lever, _body(rng, 1.0)))
+    return build_tree(f"held{seed}", links, parents)
 
 
 def _body(rng: np.random.Generator, scale: float) -> pin.Inertia:

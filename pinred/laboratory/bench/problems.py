@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, freeze
@@ -20,7 +21,8 @@ from ...judge.distances import FullMotion
 from ...judge.reference_solution import FullState
 from ...scene.initial_state import random_state
 from ...scene.scene import Scene
-from ...simulation.compiled.compiled_flow import CompiledFlow
+from ...simulation.compiled.compiled_flow import CompiledFlow, flows_of
+from ...simulation.members.member_groups import of_scenes
 from ...simulation.plan import plan_of
 from ...system.coordinates import InitialState
 from ...system.load import load
@@ -49,22 +51,36 @@ def chain(family: str, joints: int) -> System:
             f"a chain is {' or '.join(FAMILIES)} and has at least one joint, "
             f"got {family!r} with {joints}"
         )
-    planar = family == "planar"
-    model = pin.Model()
-    model.name = f"{family}-chain-{joints}"
-    model.gravity = pin.Motion.Zero()
-    offset = np.array([_LENGTH, 0.0, 0.0])
+    planar, offset = family == "planar", np.array([_LENGTH, 0.0, 0.0])
     link = pin.Inertia.FromBox(_MASS, _LENGTH, _WIDTH, _WIDTH)
     link.lever = 0.5 * offset
-    parent = 0
-    for k in range(joints + 1):
-        if k == 0:
-            joint = pin.JointModelPlanar() if planar else pin.JointModelFreeFlyer()
-        else:
-            joint = pin.JointModelRY() if not planar and k % 2 else pin.JointModelRZ()
-        place = pin.SE3(np.eye(3), offset if k else np.zeros(3))
-        parent = model.addJoint(parent, joint, place, f"joint{k}")
-        model.appendBodyToJoint(parent, link, pin.SE3.Identity())
+    root = pin.JointModelPlanar() if planar else pin.JointModelFreeFlyer()
+    across = (pin.JointModelRZ(), pin.JointModelRZ() if planar else pin.JointModelRY())
+    links = [(across[k % 2], offset, link) for k in range(1, joints + 1)]
+    return build_tree(f"{family}-chain-{joints}", [(root, np.zeros(3), link), *links])
+
+
+Link = tuple[pin.JointModel, ArrayLike, pin.Inertia]
+
+
+def build_tree(name: str, links: Sequence[Link], parents: Sequence[int] | None = None) -> System:
+    """Build a tree of links without gravity.
+
+    Args:
+        name: Name of the robot.
+        links: For each link, its joint, the position of the joint on the parent [m], and the body.
+            The first joint is the root.
+        parents: Number of each link's parent, -1 for the first; by default the preceding link.
+    Returns:
+        The robot, whose joints are joint0, joint1 and so on.
+    """
+    model = pin.Model()
+    model.name, model.gravity = name, pin.Motion.Zero()
+    for k, (joint, position, body) in enumerate(links):
+        parent = k if parents is None else parents[k] + 1
+        placement = pin.SE3(np.eye(3), np.asarray(position, dtype=float))
+        added = model.addJoint(parent, joint, placement, f"joint{k}")
+        model.appendBodyToJoint(added, body, pin.SE3.Identity())
     return load(model)
 
 
@@ -288,6 +304,31 @@ def problems_named(names: Sequence[str] | None = None) -> tuple[list[Problem], l
     unavailable = [n for n in requested if n in _EXAMPLES and not has_example_robots()]
     missing = [f"{name} is left out: {INSTALL_ROBOTS}" for name in unavailable]
     return [SCENES[name]() for name in requested if name not in unavailable], missing
+
+
+_SPREAD = 0.05  # standard deviation of the members' rates (relative) and shapes [rad | m]
+
+
+def generate_members(problem: Problem, count: int) -> list[Problem]:
+    """Generate members with random initial states near the initial state of a problem."""
+    rng, start, members = np.random.default_rng(0), problem.start, []
+    for _ in range(count):
+        factors = [1.0 + _SPREAD * rng.normal(size=len(v)) for v in (start.xdot, start.xi)]
+        state = InitialState(
+            x=start.x + _SPREAD * rng.normal(size=len(start.x)),
+            xdot=start.xdot * factors[0],
+            xi=start.xi * factors[1],
+            duration=start.duration,
+        )
+        members.append(Problem(problem.name, problem.about, problem.system, state))
+    return members
+
+
+def compile_members(members: Sequence[Problem]) -> CompiledFlow:
+    """Return the reduced initial states and the parameters of members with momentum."""
+    (group,) = of_scenes([member.scene(method="DOP853") for member in members]).groups
+    ((_, flows),) = flows_of(group.plan, group.given)
+    return flows
 
 
 @dataclass(frozen=True)

@@ -101,22 +101,6 @@ def _compare(
     return tuple(rows)
 
 
-def _table(
-    file: str, title: str, rows: tuple[SimpleNamespace, ...], missing: Sequence[str] = ()
-) -> Table:
-    _, violation, _, conserved, *_ = vars(rows[0])
-    columns = {
-        "method": "<66",
-        violation: f">9.1e {violation}",
-        "error": ">9.1e",
-        conserved: f">9.1e {conserved}",
-        "cpu": ">9.2g cpu [s]",
-        "times": ">6.2g",
-    }
-    notes = tuple(f"{name} is not installed" for name in missing)
-    return Table(file, columns, rows, title, notes)
-
-
 def _by_pinred(scene: Scene) -> list[_Trial]:
     def run(rtol: float) -> Trajectory:
         return simulate(scene, rtol=rtol, atol=1e-2 * rtol)
@@ -237,7 +221,9 @@ def _bench_loop(name: str) -> Table:
 
     energy = partial(pin.computeKineticEnergy, system.model, system.model.createData())
     rows = _compare(trials, exact, ("gap", gap), ("energy", energy))
-    return _table("loops", f"{name}: {scene.end:g} s", rows)
+    units = {"gap": "m", "error": "rad | m", "cpu": "s"}
+    shared = {"robot": name, "duration": scene.end}
+    return Table("loops", rows, units, f"{name}: {scene.end:g} s", shared=shared)
 
 
 class _LoopedModel(_SoftModel):
@@ -313,8 +299,10 @@ def bench_stops(*, progress: Progress | bool | None = None) -> Table:
         measures = ("beyond", beyond), ("momentum", angular_momentum)
         rows = _compare(trials, exact, *measures, bar or quiet)
     impacts = len(exact.impacts.times)
-    title = f"{ROBOT}, stops of all joints, {STOP_DURATION:g} s: {impacts} impacts"
-    return _table("stops", title, rows, missing)
+    stops = f"{ROBOT}, stops of all joints, {STOP_DURATION:g} s"
+    units = {"beyond": "rad | m", "error": "rad | m", "cpu": "s"}
+    notes = tuple(f"{name} is not installed" for name in missing)
+    return Table("stops", rows, units, f"{stops}: {impacts} impacts", notes, {"scene": stops})
 
 
 def stopped_scene() -> Scene:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import zip_longest
+from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Any, TypeAlias, overload
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -30,29 +29,31 @@ BUNDLED, EXAMPLES = ("planar_chain5", "satellite_two_arms"), ("solo12", "talos")
 
 @checks_arguments
 @dataclass(frozen=True)
-class Table(Sequence[SimpleNamespace]):
+class Table(Sequence[Any]):
     """Results of a measurement: a sequence of rows, which `str` formats.
 
     Attributes:
         file: Name of the csv file, without suffix.
-        columns: Mapping from each printed value to its format and title, such as
-            ">10.3f build [s]"; without a title, the name of the value is printed.
-        rows: The results. Their attributes are the columns of the csv file.
+        rows: The results. Their attributes are the columns of the table and of the csv file.
+        units: Units of columns, by name.
         title: Line above the table.
         notes: Lines below the table.
+        shared: Values that all rows share: further columns of the csv file.
     """
 
     file: str
-    columns: Mapping[str, str]
     rows: tuple[SimpleNamespace, ...]
+    units: Mapping[str, str] = field(default_factory=dict)
     title: str = ""
     notes: tuple[str, ...] = ()
+    shared: Mapping[str, object] = field(default_factory=dict)
 
-    @overload
-    def __getitem__(self, index: int) -> SimpleNamespace: ...
-    @overload
-    def __getitem__(self, index: slice) -> tuple[SimpleNamespace, ...]: ...
-    def __getitem__(self, index: int | slice) -> SimpleNamespace | tuple[SimpleNamespace, ...]:
+    @property
+    def records(self) -> list[dict[str, object]]:
+        """The rows of the csv file."""
+        return [{**self.shared, **vars(row)} for row in self.rows]
+
+    def __getitem__(self, index: Any) -> Any:
         """Return a row, or some rows."""
         return self.rows[index]
 
@@ -60,21 +61,24 @@ class Table(Sequence[SimpleNamespace]):
         return len(self.rows)
 
     def __str__(self) -> str:
-        formats = {name: column.partition(" ")[::2] for name, column in self.columns.items()}
-        widths = [spec.partition(".")[0] for spec, _ in formats.values()]
-        titles = [(title or name).split("\n") for name, (_, title) in formats.items()]
-        cells = [
-            *(zip(line, widths, strict=True) for line in zip_longest(*titles, fillvalue="")),
-            *([(getattr(row, name), formats[name][0]) for name in formats] for row in self.rows),
-        ]
-        lines = [" ".join(_cell(value, spec) for value, spec in line).rstrip() for line in cells]
+        columns: list[list[str]] = []
+        for name in vars(self.rows[0]) if self.rows else ():
+            values = [getattr(row, name) for row in self.rows]
+            units = [f"[{self.units[name]}]" if name in self.units else ""] * bool(self.units)
+            cells = [name.replace("_", " "), *units, *map(cell, values)]
+            side, width = ">" if columns else "<", max(map(len, cells))
+            columns.append([f"{cell:{side}{width}}" for cell in cells])
+        lines = ["  ".join(cells).rstrip() for cells in zip(*columns, strict=True)]
         return "\n".join([*([self.title] if self.title else []), *lines, *self.notes])
 
 
-def _cell(value: Any, spec: str) -> str:
-    """Format a value; NaN is a dash."""
-    is_missing = isinstance(value, float) and np.isnan(value)
-    return f"{'—':{spec.partition('.')[0]}}" if is_missing else f"{value:{spec}}"
+def cell(value: Any) -> str:
+    """Format a value with three digits, but numbers from 1000 on as whole numbers."""
+    if not isinstance(value, float):
+        return str(value)
+    if np.isnan(value):
+        return "—"
+    return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.3g}"
 
 
 def robots_to_measure(

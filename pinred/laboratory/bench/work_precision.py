@@ -13,7 +13,9 @@ import io
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -21,6 +23,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError, LoadError
 from ...common.files import read_plain_file, write_table
 from ...common.names import quoted_path
+from .timing import Table, cell
 
 ERRORS = tuple(float(f"1e-{k}") for k in range(4, 14))
 
@@ -195,7 +198,7 @@ class WorkPrecision:
             for p in self.points
         ]
         equal = [
-            (f"{error:.0e}", *(_cell(1e3 * self.wall_at(n, error)).strip() for n in self.about))
+            (f"{error:.0e}", *(cell(self._wall_in_ms(name, error)) for name in self.about))
             for error in ERRORS
         ]
         return card(
@@ -209,53 +212,38 @@ class WorkPrecision:
         )
 
     def __str__(self) -> str:
+        joints = f"{self.joints} joint{'s' * (self.joints != 1)}"
         lines = [
-            f"{self.problem} ({self.description}): {self.joints} joint{'s' * (self.joints != 1)}, "
-            f"{self.duration:g} s; the reference is known to {self.reference_error:.0e}"
-            + (f": {self.reference}" if self.reference else ""),
+            f"{self.problem} ({self.description}): {joints}, {self.duration:g} s; the reference is "
+            f"known to {self.reference_error:.0e}" + (f": {self.reference}" * bool(self.reference)),
             *(f"  {name}: {text}" for name, text in self.about.items()),
             *(f"  {line}" for line in dict.fromkeys(self.missing.values())),
-            "",
-            f"{'method':<19} {'tolerance':>9} {'wall [ms]':>10} {'evaluations':>11} "
-            f"{'shape':>8} {'rotation':>8} {'position':>8} {'energy':>8} {'momentum':>8} "
-            f"{'build [s]':>9}",
-            *(_row(p) for p in self.points),
-            "",
-            "wall time [ms] at equal error",
-            *_table(self.about, lambda name, e: 1e3 * self.wall_at(name, e)),
+        ]
+        points = tuple(SimpleNamespace(**vars(point)) for point in self.points)
+        tables = [
+            Table(NAME, points, {"wall": "s", "build": "s"}),
+            self._at_equal_errors("wall time [ms]", self._wall_in_ms, self.about),
         ]
         peers = [name for name in self.about if not name.startswith("pinred")]
-        for method in (name for name in self.about if name.startswith("pinred")):
-            if peers:
+        for method in (name for name in self.about if name.startswith("pinred") and peers):
+            title = f"how many times faster {method} is"
+            ratio = partial(self.ratio_at, method=method)
+            tables.append(self._at_equal_errors(title, ratio, peers))
+        return "\n\n".join(["\n".join(lines), *map(str, tables)])
 
-                def ratio(peer: str, error: float, method: str = method) -> float:
-                    return self.ratio_at(peer, error, method)
+    def _wall_in_ms(self, method: str, error: float) -> float:
+        return 1e3 * self.wall_at(method, error)
 
-                lines += ["", f"how many times faster {method} is", *_table(peers, ratio)]
-        return "\n".join(lines)
-
-
-def _table(names: Iterable[str], value: Callable[[str, float], float]) -> list[str]:
-    """Format a table with a row for each name and a column for each error."""
-    head = f"{'error':<19}" + "".join(f"{error:>9.0e}" for error in ERRORS)
-    rows = (
-        f"{name:<19}" + "".join(_cell(value(name, error)) for error in ERRORS) for name in names
-    )
-    return [head, *rows]
-
-
-def _row(p: Point) -> str:
-    head = f"{p.method:<19} {p.tolerance:>9.1e} "
-    if p.failure:
-        return f"{head}failed: {p.failure}"
-    return head + (
-        f"{1e3 * p.wall:>10.4f} {p.evaluations:>11.0f} {p.shape:>8.1e} {p.rotation:>8.1e} "
-        f"{p.position:>8.1e} {p.energy:>8.1e} {p.momentum:>8.1e} {p.build:>9.2f}"
-    )
-
-
-def _cell(value: float) -> str:
-    return f"{'—' if np.isnan(value) else format(value, '.3g'):>9}"
+    @staticmethod
+    def _at_equal_errors(
+        title: str, value: Callable[[str, float], float], names: Iterable[str]
+    ) -> Table:
+        """Return a table with a row for each name and a column for each error."""
+        rows = [
+            SimpleNamespace(error=name, **{f"{error:.0e}": value(name, error) for error in ERRORS})
+            for name in names
+        ]
+        return Table(NAME, tuple(rows), title=f"{title} at equal error")
 
 
 NAME = "accuracy.csv"

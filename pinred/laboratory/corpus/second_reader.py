@@ -19,8 +19,7 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.errors import LoadError, PinredError
 from ...reduction.inertia_split import symmetric
-from ...system.mjcf.compile import compiled
-from ...system.mjcf.package import mujoco_package, warnings_kept
+from ...system.mjcf.compile import compiled, mujoco_package, warnings_kept
 from ...system.mjcf.read import gravity_of
 from ...system.mjcf.world import robot_in
 from ...system.robot_files import EVERYTHING, library_output, read_text

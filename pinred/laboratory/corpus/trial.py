@@ -35,7 +35,7 @@ from ...judge.verdict import Report, Verdict
 from ...simulation.simulate import simulate
 from ...system.independent_reader import second_reading
 from ...system.load import load
-from ...system.mjcf.package import mujoco_package, warnings_kept
+from ...system.mjcf.compile import mujoco_package, warnings_kept
 from ...system.read_sdf import drake_warnings
 from ...system.robot_files import EVERYTHING, library_output, read_xml
 from ...system.system import System

@@ -18,7 +18,7 @@ from ...reduction.inertia_split import symmetric
 from ...scene.scene import Scene
 from ...system.load import load
 from ...system.system import System
-from ..bench.problems import chain
+from ..bench.problems import build_tree, chain
 from .check import DEFECT, EPS, PER_RADIAN, Case, Cases, Trial, check, dop853, tolerance
 from .reference_motions import (
     TUMBLING,
@@ -26,7 +26,6 @@ from .reference_motions import (
     aba_reference,
     body,
     euler_top,
-    serial,
     single,
     symmetric_top,
     tumbling_arm,
@@ -176,7 +175,9 @@ def _condition(system: System, q: Array) -> float:
 def _chain_of_rods(thin: float) -> System:
     link = body(1.0, [0.25, 0.0, 0.0], 0.02 * np.array([thin, 1.0, 1.0]))
     joints = (pin.JointModelSpherical(), pin.JointModelRY(), pin.JointModelRZ(), pin.JointModelRY())
-    return serial("straight", [(j, [0.5 * (k > 0), 0.0, 0.0], link) for k, j in enumerate(joints)])
+    return build_tree(
+        "straight", [(j, [0.5 * (k > 0), 0.0, 0.0], link) for k, j in enumerate(joints)]
+    )
 
 
 @check("singular_shapes", "defect of a step, per tolerance")
@@ -207,7 +208,7 @@ def _gimbal(light: float) -> System:
     joints = (pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ())
     positions = [[0.3, 0.1, 0.0], [0.0] * 3, [0.0] * 3]
     links = list(zip(joints, positions, (ring, ring, heavy), strict=True))
-    return serial("gimbal", [(pin.JointModelFreeFlyer(), [0.0] * 3, heavy), *links])
+    return build_tree("gimbal", [(pin.JointModelFreeFlyer(), [0.0] * 3, heavy), *links])
 
 
 @check("stiff_springs", "error of discs, or defect of a step, per tolerance")
@@ -245,7 +246,7 @@ def _light_arm(mass: float) -> System:
     link = body(mass, [0.1, 0.0, 0.02], mass * np.array([0.01, 0.02, 0.025]))
     joints = (pin.JointModelRZ(), pin.JointModelRX(), pin.JointModelRY())
     arm = [(joint, [0.2, 0.0, 0.1], link) for joint in joints]
-    return serial("springs", [(pin.JointModelFreeFlyer(), [0.0] * 3, base), *arm])
+    return build_tree("springs", [(pin.JointModelFreeFlyer(), [0.0] * 3, base), *arm])
 
 
 @check("long_chains", "defect of a step, per tolerance")

@@ -1,4 +1,7 @@
-"""Results of a gait optimisation: the best local optimum of the starts, and the others."""
+"""Results of a gait optimisation: the best local optimum of the starts, and the others.
+
+Optima are compared with the optimum over all loops, or polished to an exact extremal.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +16,19 @@ from ...analysis.connections.loop_connection import LoopConnectionCode
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.phase import Phase
 from ...common.argument_kinds import checks_arguments
-from ...common.errors import InputError
+from ...common.errors import InputError, NoOptimum
 from ...common.html import Rows, Summary
+from ...common.waiting import Wait
 from ...judge.compare import compare
 from ...judge.verdict import Report
 from ...lie.group import PoseError
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
+from .extremal_loop import Extremal, polish, refuse_extremal
+from .gait_search import Search, StartFailed, finish, fourier_path_of, measure
 from .limits import NOT_CONSIDERED
 from .objective import ABOUT, TargetAim
-from .optimum_distance import OptimumDistance, distance_of
 from .transcription import Task, cost_unit, merit_name
 
 SAME = 1e-5  # relative difference of merits below which two optima are considered equal
@@ -205,3 +210,80 @@ class BestGait(Summary, Optimum):
         rows.append((f"optima of {self.starts} starts", f"merit {merits}{more}"))
         failed = [f"{self.lost.count(why)} times: {why}" for why in sorted(set(self.lost))]
         return [*rows, ("failed starts", "; ".join(failed))] if failed else rows
+
+
+@checks_arguments
+@dataclass(frozen=True)
+class OptimumDistance:
+    """The merit that an optimised gait lacks, by comparison with a better loop nearby.
+
+    Attributes:
+        value: Merit of the better loop minus merit of the gait; None if it is not known.
+        route: The better loop: the "extremal" nearby, which is stationary among all loops, or the
+            optimum with twice the "harmonics", which bounds the distance from below; or "none".
+        reason: Why the extremal does not apply; empty if it does.
+    """
+
+    value: float | None
+    route: str
+    reason: str
+
+    def __str__(self) -> str:
+        if self.value is None:
+            return f"not known: {self.reason}"
+        if self.route == "extremal":
+            return f"{self.value:.1e}, to the extremal nearby"
+        return f"at least {self.value:.1e}, to the optimum with twice the harmonics"
+
+
+def distance_of(task: Task, gait: Gait, merit: float, cost: float) -> OptimumDistance:
+    """Compute the distance of an optimum from a better loop nearby.
+
+    Args:
+        task: The task.
+        gait: Its optimum.
+        merit: Merit of the optimum.
+        cost: Cost of the optimum.
+    Returns:
+        The distance.
+    """
+    try:
+        refuse_extremal(task, gait, cost)
+        return OptimumDistance(polish(task, gait, merit).merit - merit, "extremal", "")
+    except (InputError, NoOptimum) as error:
+        reason = str(error)
+    if not gait.is_smooth:
+        return OptimumDistance(None, "none", reason)
+    try:
+        return OptimumDistance(_doubled(task, gait) - merit, "harmonics", reason)
+    except StartFailed as error:
+        return OptimumDistance(None, "none", f"with twice the harmonics, {error}")
+
+
+def _doubled(task: Task, gait: Gait) -> float:
+    """Return the merit of the optimum with twice the harmonics.  Raises StartFailed."""
+    search = Search(task, fourier_path_of(task, 2 * len(gait.series.cos)))
+    end = finish(search, gait)
+    return measure(end.search, end.best, end.search.gait(end.best.z)).merit
+
+
+@checks_arguments
+@Wait("iterates a gait to an extremal")
+def extremal(best: BestGait) -> Extremal:
+    """Compute the extremal near an optimised gait: a loop that obeys Wong's equations.
+
+    A loop of least length for its displacement, or of largest displacement per length, obeys
+    ∇_ẋ ẋ = M⁻¹⟨μ, B(·, ẋ)⟩ with a charge μ that is constant in space. The boundary value problem of
+    a closed loop is solved by multiple shooting and a Levenberg–Marquardt iteration that starts
+    from the Fourier gait.
+
+    Args:
+        best: An optimum of `optimise_gait` with cost "length", within its limits.
+    Returns:
+        The extremal, with its charge and the residual of the boundary value problem.
+    Raises:
+        InputError: The cost is not the length, the gait is a polygon, or a limit is active.
+        NoOptimum: No extremal was found near the gait, or it exceeds the limits.
+    """
+    refuse_extremal(best.task, best.gait, best.cost)
+    return polish(best.task, best.gait, best.merit)

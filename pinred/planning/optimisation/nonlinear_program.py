@@ -24,6 +24,7 @@ _SMALLEST = 1e-5  # size of the smallest box, relative to its centre
 _EDGE = 0.999  # part of the radius of its box at which a run has reached the edge
 _LESS = 0.5  # a run from a point that violates constraints succeeds if it leaves this part
 _VIOLATION = 1e-8  # largest violation of a constraint at a minimum
+_ACTIVE = 1e-6  # relative distance to a bound below which a constraint is active
 _LONGEST = 40  # smallest limit of the iterations of a run
 _MISSES = 3  # number of runs without a feasible point after which the search ends
 _SHARP_STEPS = 10  # largest number of iterations of a run with the Hessian
@@ -293,7 +294,7 @@ def _run(
     return run
 
 
-def kkt_residual(problem: Problem, z: Array, *, active: float = 1e-6) -> float:
+def kkt_residual(problem: Problem, z: Array) -> float:
     """Compute the residual of the Karush–Kuhn–Tucker conditions, relative to f.
 
     The residual is min |∇f + Σ λᵢ ∇cᵢ| / |f| over the multipliers of active constraints, with λ ≥ 0
@@ -303,7 +304,6 @@ def kkt_residual(problem: Problem, z: Array, *, active: float = 1e-6) -> float:
     Args:
         problem: The problem.
         z: Unknowns, (n,).
-        active: Relative distance to a bound below which a constraint is considered active.
     Returns:
         The residual; inf if a constraint is violated, a value is not finite, or f is zero.
     """
@@ -312,7 +312,7 @@ def kkt_residual(problem: Problem, z: Array, *, active: float = 1e-6) -> float:
         return np.inf
     if not problem.violation(z) <= _VIOLATION:
         return np.inf
-    size = float(np.linalg.norm(_multipliers(problem, z, active)[0]))
+    size = float(np.linalg.norm(_multipliers(problem, z, _ACTIVE)[0]))
     return size if np.isfinite(size) else np.inf
 
 

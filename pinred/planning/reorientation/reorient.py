@@ -44,10 +44,16 @@ from ..optimisation.gait_search import StartFailed
 from ..optimisation.limits import Limits, LimitsLike, limits_of, margins, require_two_joints
 from ..optimisation.objective import TargetAim, target_aim
 from ..optimisation.transcription import Passage, Task
-from .joint_peaks import Peaks, peaks_of
-from .tumbling import final_twist, joint_rotation, passage_of
 from .turn_plan import TurnPlan
-from .turning_loop import fine_path, turning_loop
+from .turning_loop import (
+    Peaks,
+    final_twist,
+    fine_path,
+    joint_rotation,
+    passage_of,
+    peaks_of,
+    turning_loop,
+)
 
 if TYPE_CHECKING:
     from .flight_plan import FlightPlan

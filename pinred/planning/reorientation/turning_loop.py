@@ -2,22 +2,27 @@
 
 The initial loop is an ellipse computed from the curvature.  The optimiser then finds the shortest
 loop, and Newton steps of least norm reduce the target error to round-off.
+
+A loop is traversed from rest to rest. A base with momentum tumbles during the motion; speeds and
+torques have peaks that limit its duration.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...analysis.connections.connection import Connection
 from ...analysis.gaits.gait import Gait
-from ...analysis.phases.path_basis import path_lift
-from ...common.arrays import Array
+from ...analysis.phases.lift import STAGES, PathSegments, in_space_by_momenta, lift
+from ...analysis.phases.path_basis import Drift, cycloid, fourier_rows, path_lift
+from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
+from ...lie.group import Group
 from ..optimisation.gait_search import Search, StartFailed, finish, fourier_path_of
-from ..optimisation.limits import margins
-from ..optimisation.objective import TargetAim
+from ..optimisation.limits import Limits, find_extremes, margins
+from ..optimisation.objective import TargetAim, rotation_between, torques
 from ..optimisation.transcription import Passage, Path, Task, fourier_path
 
 _ROOM_USED = 0.7  # largest fraction of the joint range used by the initial ellipse
@@ -192,3 +197,152 @@ def fine_path(m: int, start: Array, passage: Passage | None, *, finer: int = 1) 
     """
     pieces = finer * (_FINE if passage is None else _FINE_PASSAGE)
     return fourier_path(_HARMONICS, m, pieces=pieces, power=1, start=start, passage=passage)
+
+
+_TURN = 2.0 * np.pi
+_PER_RADIAN = 4  # number of quadrature segments per radian of tumbling
+_MOST = 200.0  # largest tumbling angle of a plan [rad]
+
+
+def passage_of(
+    connection: Connection, momentum: Array, start: Array, cycles: int, time: float
+) -> Passage:
+    """Create a motion from rest to rest with momentum.
+
+    Args:
+        connection: The mechanical connection.
+        momentum: Initial body momentum, (r,).
+        start: Initial shape, (m,).
+        cycles: Number of cycles.
+        time: Total duration [s].
+    Returns:
+        The motion, with enough quadrature segments to resolve the tumbling.
+    Raises:
+        InputError: The base would tumble too far.
+    """
+    drift = Drift(connection.code, time * momentum)
+    (inverse,) = drift.inverse(start[None])
+    angle = float(np.linalg.norm((inverse @ drift.momentum)[connection.group.linear :]))
+    if not angle <= _MOST:
+        raise InputError(
+            f"with joints at rest the base would tumble through {angle:.3g} rad in {time:g} s; "
+            "give a shorter duration"
+        )
+    return Passage(cycles, drift, int(_PER_RADIAN * angle) + 1)
+
+
+def joint_rotation(
+    group: Group, passage: Passage, start: Array, aim: TargetAim
+) -> tuple[TargetAim, Array]:
+    """Compute the rotation that the joints must contribute to a target.
+
+    Angles that differ by full turns are the same attitude, so the angle nearest to that of the
+    drifted base is used.
+
+    Args:
+        group: The symmetry group.
+        passage: The motion from rest to rest.
+        start: Initial shape, (m,).
+        aim: The target.
+    Returns:
+        The target, and the rotation to it from the attitude that the base would drift to with
+        joints at rest, (turns,).
+    """
+    drift = passage.drift
+    count = passage.more + STAGES
+    inverse = in_space_by_momenta(group, drift.inverse(start[None]))
+    still = PathSegments(
+        h=np.full(count, 1.0 / count),
+        a=np.zeros((count, STAGES, 6)),
+        L=np.ascontiguousarray(np.broadcast_to(inverse, (count, STAGES, 6, 6))),
+    )
+    drifted = lift(group, still, drift.momentum)[-1][group.linear :]
+    if group.turns == 1:
+        turns = np.round((drifted - aim.attitude) / _TURN)
+        aim = TargetAim(group, aim.attitude + _TURN * turns, None)
+        return aim, np.asarray(aim.attitude - drifted)
+    return TargetAim(group, aim.attitude, None), rotation_between(drifted, aim.attitude)
+
+
+def final_twist(connection: Connection, momentum: Array, shape: Array, pose: Array) -> Array:
+    """Compute the twist I⁻¹Ad_gᵀJ of a base with joints at rest.
+
+    Args:
+        connection: The mechanical connection.
+        momentum: Spatial momentum J, (r,).
+        shape: Shape, (m,).
+        pose: Pose, (size,).
+    Returns:
+        (r,): the body twist.
+    """
+    (inverse,) = Drift(connection.code, momentum).inverse(shape[None])
+    return np.asarray(inverse @ connection.group.Ad(pose).T @ momentum)
+
+
+_TIMES = 512  # number of samples per cycle
+_SAFETY = 1.0 + 1e-6  # factor on the shortest duration, for round-off
+
+
+@dataclass(frozen=True, eq=False)
+class Peaks(FrozenArrays):
+    """Largest speed and torque of each joint for a total duration of 1 s.
+
+    Attributes:
+        speed: Largest speed of each joint, (m,).
+        torque: Largest torque of each joint, (m,).
+    """
+
+    speed: Array
+    torque: Array
+
+    def needed(self, limits: Limits) -> float:
+        """Return the shortest duration within limits [s]; zero if there are no limits."""
+        by_speed = np.max(self.speed / limits.speed)
+        by_torque = np.sqrt(np.max(self.torque / limits.torque))
+        return float(_SAFETY * max(by_speed, by_torque))
+
+    def margins(self, limits: Limits, duration: float) -> dict[str, float]:
+        """Compute the smallest distance to the limits of speeds and torques.
+
+        Args:
+            limits: The limits.
+            duration: Total duration [s].
+        Returns:
+            Distances by kind; kinds without limits are omitted.
+        """
+        distances: dict[str, float] = {}
+        if np.isfinite(limits.speed).any():
+            distances["speeds"] = float((limits.speed - self.speed / duration).min())
+        if np.isfinite(limits.torque).any():
+            distances["torques"] = float((limits.torque - self.torque / duration**2).min())
+        return distances
+
+
+def peaks_of(connection: Connection, gait: Gait, cycles: int) -> Peaks:
+    """Compute the largest speeds and torques of a Fourier gait from rest to rest.
+
+    Args:
+        connection: The mechanical connection.
+        gait: The gait.
+        cycles: Number of cycles.
+    Returns:
+        The peaks for a total duration of 1 s.
+    Raises:
+        InputError: The connection has drag.
+    """
+    if not connection.form.momentum:
+        raise InputError("reorient needs a mechanical connection, without drag")
+    c, chart = gait.series.coefficients(), connection.chart
+
+    def motion(u: Array) -> tuple[Array, Array, Array]:
+        angle, rate, bend = cycloid(u, cycles)
+        x, x1, x2 = (rows @ c for rows in fourier_rows((len(c) - 1) // 2, angle, turn=1.0))
+        return x, rate[:, None] * x1, rate[:, None] ** 2 * x2 + bend[:, None] * x1
+
+    def speeds(u: Array) -> Array:
+        w, rate, _ = motion(u)
+        return rate if chart is None else chart.rates(w, rate)
+
+    u = np.linspace(0.0, 1.0, _TIMES * cycles + 1)
+    torque = find_extremes(lambda u: torques(connection, *motion(u)), u)[1]
+    return Peaks(find_extremes(speeds, u)[1], torque)

@@ -13,8 +13,8 @@ import numpy as np
 
 from ...common.arrays import Array
 from ..robot_file_contents import Actuator
+from .compile import mujoco_package
 from .mujoco_joints import acts_on_joint
-from .package import mujoco_package
 from .tree import Tree
 from .world import World, name_of
 

@@ -1,5 +1,7 @@
 """Compilation of an MJCF file or an MjSpec by MuJoCo, and checks of the compiled numbers.
 
+The package mujoco is imported only when needed; the extra `mjcf` installs it.
+
 The size of a file is estimated from its text first, because MuJoCo expands some short texts to
 millions of elements.
 """
@@ -7,7 +9,9 @@ millions of elements.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
@@ -19,8 +23,32 @@ import numpy as np
 from ...common.errors import LoadError, ModelError, PinredError
 from ...common.files import is_file, is_special
 from ...common.names import plain_path
+from ...common.optional_packages import install_command, optional_package
 from ..robot_files import is_mujoco, library_output, read_text, without_hyphens
-from .package import mujoco_package, warnings_kept
+
+INSTALL = install_command("mjcf")
+
+
+def mujoco_package() -> Any:
+    """Return the module mujoco.  Raises MissingPackageError with the command that installs it."""
+    return optional_package("mujoco", f"MJCF is read by MuJoCo's compiler: {INSTALL}")
+
+
+@contextmanager
+def warnings_kept() -> Iterator[list[str]]:
+    """Collect MuJoCo's warnings; by default, MuJoCo writes them to a file in the current folder."""
+    mj = mujoco_package()
+    messages: list[str] = []
+    before = mj.get_mju_user_warning()
+    mj.set_mju_user_warning(messages.append)
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            yield messages
+            messages += [str(warning.message) for warning in caught]
+    finally:
+        mj.set_mju_user_warning(before)
+
 
 # Lines that MuJoCo's XML reader prints itself.
 _PRINTED = re.compile(rb"^WARNING: XML contains [^\n]*\n?", re.MULTILINE)
@@ -80,14 +108,14 @@ def compiled(source: Any, *, shapes: bool = False) -> Any:
 def _guarded(what: str, compile_source: Callable[[], Any]) -> Any:
     """Return a compiled model.  Raises LoadError for MuJoCo's errors and serious warnings."""
     # MuJoCo's XML reader prints to the console, and all threads share one warning handler.
-    with library_output(_PRINTED), warnings_kept() as warnings:
+    with library_output(_PRINTED), warnings_kept() as messages:
         try:
             model = compile_source()
         except PinredError:
             raise
         except Exception as error:  # MuJoCo raises ValueError, RuntimeError and other types.
             raise LoadError(f"MuJoCo cannot read {what}: {_one_line(error)}") from None
-    if any("NaN" in warning for warning in warnings):
+    if any("NaN" in warning for warning in messages):
         raise LoadError(f"{what} contains nan where a number is required")
     return model
 

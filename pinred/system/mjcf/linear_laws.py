@@ -14,8 +14,8 @@ import numpy as np
 from ...common.errors import ModelError
 from ..coupling import resolved
 from ..robot_file_contents import Coupling
+from .compile import mujoco_package
 from .mujoco_joints import Joint, joint_of
-from .package import mujoco_package
 from .world import World
 
 _ROUND_OFF = 1e-12  # coefficients and constants below this fraction of their terms are zero

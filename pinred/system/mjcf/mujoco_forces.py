@@ -18,8 +18,8 @@ from ..force_interface import Force
 from ..passive import BASE, Damper, Friction, Spring, rate_labels
 from ..robot_file_contents import LeftOut
 from .actuators import actuator_damping
+from .compile import mujoco_package
 from .mujoco_joints import quaternion
-from .package import mujoco_package
 from .tree import Tree
 from .world import World
 

@@ -12,7 +12,7 @@ from typing import Any
 from ...common.errors import ChoiceError, InputError, LoadError
 from ...common.names import quoted
 from ..robot_file_contents import shortened
-from .package import mujoco_package
+from .compile import mujoco_package
 
 _KINDS = ("free", "ball", "slide", "hinge")  # names of MuJoCo's mjtJoint
 # Disable flags of MuJoCo that mjDSBL_CONSTRAINT implies.

@@ -15,8 +15,7 @@ import numpy as np
 from ....common.arrays import Array
 from ....common.errors import IntegrationError, UnsupportedOperationError
 from ....kernels.reduced_graph import ReducedGraph
-from ..member_batch import compile_members
-from ..problems import Problem
+from ..problems import Problem, compile_members
 from ..solver import PreparedRun, Solver, decades
 from .equality import INSTALL
 
