@@ -84,6 +84,8 @@ class ForceExpressions:
             InputError: A force or a prescribed motion does not fit the system.
         """
         self._system, self._robot, self._numbers = system, robot, numbers
+        # A controller does not know that a joint rests at a stop.
+        self._law = system.off_surfaces()
         self.symbols, self.base = symbols_of(system, within)
         self.joints = prescribed_rates(system, prescribed)
         self.motion = prescribed_motion(prescribed, self.symbols, numbers.symbol)
@@ -112,7 +114,7 @@ class ForceExpressions:
             others=ca.sum2(self.torques) - shape_gradient(self._system, self.potential, s.x),
             accelerations=dict(accelerations),
             required_torque=self._required_torque,
-            loop_motion=self._loop_motion if self._system.loops else None,
+            loop_motion=self._loop_motion if self._law.loops else None,
         )
 
     def _required_torque(self, accelerations: Mapping[int, ca.SX]) -> ca.SX:
@@ -121,10 +123,10 @@ class ForceExpressions:
 
         joints = sorted(accelerations)
         requested = ca.vertcat(*(accelerations[k] for k in joints))
-        if self._system.loops:
+        if self._law.loops:
             from .inverse_dynamics import loop_motion
 
-            G, drift = loop_motion(self._system, self.symbols, joints)
+            G, drift = loop_motion(self._law, self.symbols, joints)
             requested = G @ requested + drift
         torque = required_torque(self._system, self._robot, self.symbols, requested)
         self.inverse.append((requested, torque))
@@ -134,7 +136,7 @@ class ForceExpressions:
         """Return G, (m, k), with ẋ = G u̇ for the rates of independent joints."""
         from .inverse_dynamics import loop_motion
 
-        return loop_motion(self._system, self.symbols, independent)[0]
+        return loop_motion(self._law, self.symbols, independent)[0]
 
     def _add(self, force: Force) -> None:
         """Add the terms of a force."""

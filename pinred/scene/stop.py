@@ -536,8 +536,8 @@ def _bounds_of_sum(system: System, name: str, x: int, v: int, stop: Stop) -> lis
     leader = next((each for each in leaders if each not in wound), "")
     if name in wound or not leader:
         raise InputError(
-            f"stops: joint '{name}' follows {len(rates)} joints, and {name if leader else 'each'} is "
-            "continuous. Put stops on these joints instead, or give the joint limits in the file"
+            f"stops: joint '{name}' follows {len(rates)} joints, and "
+            f"{name if leader else 'each of them'} is continuous. Put stops on these joints instead"
         )
     own = (1.0, stop, terms, float(coupled.offset[x]), leader)
     return [

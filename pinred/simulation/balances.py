@@ -359,7 +359,7 @@ def _inertial_terms(system: System, samples: Sample) -> tuple[Array, Array]:
 def _constraints(
     system: System, x: Array, xdot: Array, surfaces: Sequence[Bound]
 ) -> tuple[Array, Array]:
-    """Return the rows J (c, n) of closed loops and of stops at rest that lock no joint, and J̇ v, (c,).
+    """Return the rows J (c, n) of loops and of stops that lock no joint, and J̇ v, (c,).
 
     Base and free joints obey H a = F + Jᵀλ and J a + J̇ v = 0.
     """

@@ -478,8 +478,8 @@ class PinocchioFlow:
                 continue
             turn = quaternion_rate(on_surfaces(surfaces, q), xdot[joint.v])
             parts = [each for each in quaternion_parts(surfaces) if np.trace(each[0]) > 1.5]
-            scales = [float(np.linalg.norm(part @ q)) / radius for part, radius in parts]
-            rates.append(sum(s * part @ turn for s, (part, _) in zip(scales, parts, strict=True)))
+            scaled = [np.linalg.norm(P @ q) / radius * (P @ turn) for P, radius in parts]
+            rates.append(np.sum(scaled, axis=0))
         return rates
 
     def entry_name(self, entry: int) -> str:

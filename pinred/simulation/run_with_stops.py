@@ -347,9 +347,10 @@ def locked_scene(
         else force
         for force in list_forces(scene.forces)
     ]
+    system = scene.system.on_surfaces(surfaces) if surfaces else scene.system
     return replace(
-        scene, system=scene.system.on_surfaces(surfaces) if surfaces else scene.system, x0=x, xdot0=xdot, xi0=start.xi, pose0=start.pose, momentum=None, seed=None,
-        keyframe=None, q0=None, v0=None, prescribed={**scene.prescribed, **plans},
+        scene, system=system, x0=x, xdot0=xdot, xi0=start.xi, pose0=start.pose, momentum=None,
+        seed=None, keyframe=None, q0=None, v0=None, prescribed={**scene.prescribed, **plans},
         forces=forces,
     )  # fmt: skip
 
@@ -649,14 +650,10 @@ class _Run:
                 )
 
     def _refuse_dependent(self, bounds: Rest, G: Array, t: float) -> None:
-        """Reject stops that leave each other no motions of their own, by loops, at one ball or by followers.
+        """Reject stops of joints that loops, balls or followers make depend on each other.
 
-        Args:
-            bounds: The stops.
-            G: Inverse reduced metric with the signs of the stops, (K, K).
-            t: Time [s].
         Raises:
-            IntegrationError: The motions of these joints depend on each other.
+            IntegrationError: The inverse reduced metric G of their gaps, (K, K), is singular.
         """
         may_depend = len(bounds) > 1 and any(bound.surface is not None for bound in bounds)
         if not bounds or not (self.system.loops or may_depend):

@@ -289,9 +289,19 @@ class System:
             contents = replace(loaded.contents, loops=(*loaded.loops, *surfaces))
             vars(held).update(contents=contents, closure=None)
             vars(held)["closure"] = close_loops(held)
+            vars(held)["_loops"] = loaded.loops, loaded.closure
             return held
 
         return recent(loaded, surfaces, make, _MOST_SURFACES, "surfaces")
+
+    def off_surfaces(self) -> System:
+        """Return the system without the constraints that `on_surfaces` added."""
+        loops, closure = vars(self).get("_loops", (None, None))
+        if loops is None:
+            return self
+        other = copy(self)
+        vars(other).update(contents=replace(self.contents, loops=loops), closure=closure)
+        return other
 
     @property
     def root_name(self) -> str:

@@ -15,7 +15,7 @@ from trees import random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import IntegrationError
-from pinred.forces import Torque
+from pinred.forces import ComputedTorque, Torque
 from pinred.judge.verdict import Verdict
 from pinred.scene.stop import BallBound, place
 
@@ -182,6 +182,8 @@ def test_precession_on_a_cone_has_the_closed_form(engine: Any) -> None:
     )  # fmt: skip
     assert traj.motion.modes == ((0.0, "joint at its swing stop"),)
     assert len(traj.impacts) == 0
+    (bound,) = traj.scene.bounds
+    np.testing.assert_allclose(bound.values(traj.x), s, rtol=0.0, atol=2e-15)
     for t, q in zip(traj.t, traj.q, strict=True):
         base = rotation(J, omega * t) @ rotation(n, beta * t)
         child = rotation(J, omega * t) @ rotation(c, gamma * t) @ tilt
@@ -268,12 +270,20 @@ def full_momentum(traj: pinred.Trajectory) -> Array:
 def test_reactions_of_balls_and_torques_keep_the_balance_of_energy() -> None:
     """A torque presses the ball to its stop, whose reaction does no work."""
     traj = resting(
-        "swing", forces=[Torque(lambda t, x, *_: [3.0 * x[1], -2.0 * x[0], 0.1])],
+        "swing", forces=[Torque(lambda *state: [3.0 * state[1][1], -2.0 * state[1][0], 0.1])],
         rtol=1e-10,
     )  # fmt: skip
     assert len(traj.motion.modes) > 1
     assert np.abs(traj.stop_reactions).max() > 0.1
     np.testing.assert_allclose(traj.energy_balance.residual, 0.0, atol=1e-8)
+
+
+def test_computed_torque_presses_a_ball_against_its_stop() -> None:
+    """The law does not know of the stop; without a stop it would turn the ball beyond it."""
+    traj = resting("swing", forces=[ComputedTorque({"joint": [0.6, 0.5, 0.2]}, kp=4.0, kd=2.0)])
+    assert traj.motion.modes[-1][1] == "joint at its swing stop"
+    report = pinred.compare(traj)
+    assert report.verdict is Verdict.PASSED, report
 
 
 def test_symmetric_balls_rest_at_their_stops() -> None:
@@ -312,7 +322,7 @@ def test_swing_of_a_ball_at_its_twist_stop_must_not_reach_half_a_turn() -> None:
     twist = 0.3
     c, s = np.cos(0.5 * twist), np.sin(0.5 * twist)
 
-    def press(t: Any, q: Any, *_: Any) -> list[Any]:
+    def press(_: Any, q: Any, *rest: Any) -> list[Any]:  # noqa: ARG001
         return [s * q[0] - c * q[1], s * q[1] + c * q[0], s * q[2] + c * q[3]]
 
     with pytest.raises(IntegrationError, match=r"swing of ball joint 'joint' reaches π at t = 1 s"):

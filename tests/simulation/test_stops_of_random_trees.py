@@ -146,6 +146,42 @@ def test_random_trees_agree_with_full_state_dynamics(seed: int) -> None:
     assert_random_tree_agrees(seed)
 
 
+@pytest.mark.parametrize("seed", [2, 29, 32])
+def test_joints_that_follow_several_others_rest_at_their_stops(seed: int) -> None:
+    """The full-state code has the follower as a joint of its own, with a multiplier."""
+    system, rng = (
+        make_case(("SE3", "SE2", "SO3")[seed % 3], 5, seed).system,
+        np.random.default_rng(seed),
+    )
+    zero, names = np.zeros(system.m), system.tree.x_names
+    values = dict(zip(names, system.joint_values(zero), strict=True))
+    own = [coupling.follower for coupling in system.couplings if len(coupling.ratios) > 1]
+    e = (0.0, 0.5)[seed % 2]
+    stops = {name: pinred.Stop(values[name] - 0.3, values[name] + 0.25, e) for name in own}
+    first = system.space.joints[0].name
+    stops[first] = pinred.Stop(values[first] - 0.4, values[first] + 0.4)
+    traj = pinred.simulate(
+        system, x0=zero, xdot0=1.5 * rng.normal(size=system.m), xi0=0.5 * rng.normal(size=system.r),
+        stops=stops, duration=2.0, rtol=1e-12, atol=1e-14,
+    )  # fmt: skip
+    assert {*traj.impacts.joint} & {*own}
+    motion = motion_by_full_state(traj, traj.v[0])
+    hits = [(hit.t, name) for hit in motion.hits for name in hit.joints]
+    assert [name for _, name in hits] == list(traj.impacts.joint)
+    np.testing.assert_allclose(traj.impacts.t, [t for t, _ in hits], rtol=0.0, atol=1e-9)
+    assert len(traj.motion.modes) == len(motion.modes)
+    np.testing.assert_allclose(traj.q, motion.q, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(traj.v, motion.v, rtol=0.0, atol=1e-9)
+
+
+def test_continuous_joint_that_follows_several_others_has_no_stops() -> None:
+    """Its coordinates are a cosine and a sine, which no equation of rest reads."""
+    system = make_case("SO3", 5, 8).system
+    (name,) = (coupling.follower for coupling in system.couplings)
+    with pytest.raises(pinred.InputError, match=f"'{name}' follows 2 joints, and {name} is contin"):
+        pinred.simulate(system, duration=0.1, stops={name: (-0.5, 0.5)}, x0=np.zeros(system.m))
+
+
 @pytest.mark.by_hand
 @pytest.mark.parametrize("seed", range(BOUNDED, BOUNDED + 40))
 def test_random_trees_of_bounded_balls_agree_with_full_state_dynamics(seed: int) -> None:

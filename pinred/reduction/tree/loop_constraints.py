@@ -289,7 +289,7 @@ def _slope(surface: BallSurface, q: Sequence[Scalar], *, constant: bool = True) 
     return [add(dot(row, list(q)), end) for row, end in zip(S.tolist(), ends, strict=True)]
 
 
-def _along_rates(q: Sequence[Scalar], slope: Sequence[Scalar]) -> list[Scalar]:
+def _along_rates(q: Sequence[Scalar], slope: list[Scalar]) -> list[Scalar]:
     """Return the components of a derivative by a quaternion q along the rates of its ball, (3,)."""
     return [dot(slope, quaternion_rate(q, unit)) for unit in _UNITS]
 

@@ -6,8 +6,8 @@ relative twist in frame b is V = D v with D = J_b − Ad(X⁻¹) J_a, so
 
     ṗ = R V_lin,   Ṙ = R V̂_ang,   Ḋ = J̇_b − Ad(X⁻¹) J̇_a + ad(V) Ad(X⁻¹) J_a.
 
-Polynomials between two joints are the constraints φ = x_f − x_f⁰ − Σ c_k (x_l − x_l⁰)^k.  Surfaces of
-balls are polynomials of quaternions (see BallSurface).
+Polynomials between two joints are the constraints φ = x_f − x_f⁰ − Σ c_k (x_l − x_l⁰)^k.
+Surfaces of balls are polynomials of quaternions (see BallSurface).
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ from ...reduction.symbolic_placements import (
 from ...reduction.tree.momenta import bracket
 from ...system.joints import axes_of
 from ...system.loops.kinematics import JointLaw, loop_ends, rotation_axes
-from ...system.loops.loop import JointPolynomial, Loop
+from ...system.loops.loop import BallSurface, Constraint, JointPolynomial
 from ...system.loops.loop_assembly import rate_units
 from ...system.loops.loop_chart import LoopChart
 from ...system.loops.looped_system import loop_kinematics
@@ -309,11 +309,12 @@ def loop_graph(
 
 def _equations(
     system: System,
-    loop: Loop | JointPolynomial,
+    loop: Constraint,
     values: Sequence[ca.SX],
     frames: Sequence[Placement],
 ) -> list[ca.SX]:
     """Return the equations of one loop, in the order of LoopKinematics."""
+    assert not isinstance(loop, BallSurface), "loaded robots have no balls at rest"
     if isinstance(loop, JointPolynomial):
         follower, leader = (
             values[system.tree.joints[i - 2].x.start]
