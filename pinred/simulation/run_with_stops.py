@@ -510,11 +510,13 @@ class _Run:
         first, within = search.found[0][0], self.scene.rtol * self.scene.end
         together = {bound for time, bound in search.found if time <= first + within}
         released = tuple(bound for bound in mode.rest if bound in together)
-        touching = []
-        for bound in mode.moving:
-            u, gap = bound.normal(x, len(xdot)) @ xdot, self._gap(bound, x)
-            if bound in together or gap <= 0.0 or (u < 0.0 and gap <= -u * within):
-                touching.append(bound)
+        touching = [
+            bound
+            for bound in mode.moving
+            if (gap := self._gap(bound, x)) <= 0.0
+            or bound in together
+            or gap <= -float(bound.normal(x, len(xdot)) @ xdot) * within
+        ]
         self._refuse_driven(touching, state.t)
         return self._resolve(state, mode.rest, touching, released)
 
@@ -554,10 +556,11 @@ class _Run:
         rates[[b.v for b in rests]] = 0.0
         new = self.mode(rests, x, rates)
         flow = new.start.resumed(state.t, x, pi, state.flow, state.y)
-        impact = _impact(state.t, contact, impulse, after)
-        if impact is not None:
-            lost = float(impact.energy_lost.sum())
-            impact = replace(impact, work_of_drives=self._work_of_drives(state, x, rates, lost))
+        impact = None
+        if impulse.any():
+            lost = -0.5 * impulse * (contact.u + after)
+            work = self._work_of_drives(state, x, rates, float(lost.sum()))
+            impact = _impact(state.t, contact, impulse, after, lost, work)
         self._count(impact, state.t)
         return Phase(new, state.t, flow, impact)
 
@@ -741,15 +744,15 @@ class _Run:
 
     @staticmethod
     def _gap(bound: Bound, x: Array) -> float:
-        return float(bound.sign * (bound.values(x) - bound.position)) - margin_of(bound)
+        return bound.sign * (bound.values(x).item() - bound.position) - margin_of(bound)
 
 
-def _impact(t: float, contact: _Contact, impulse: Array, after: Array) -> Impact | None:
-    """Return the rows of an impact; None without impulses."""
+def _impact(
+    t: float, contact: _Contact, impulse: Array, after: Array, lost: Array, work: float
+) -> Impact:
+    """Return the rows of an impact; other arguments are those of Impact for all stops, (K,)."""
     rows = np.flatnonzero(impulse)
-    if not rows.size:
-        return None
-    bounds, u = [contact.bounds[k] for k in rows], contact.u[rows]
+    bounds, u = [contact.bounds[k] for k in rows.tolist()], contact.u[rows]
     sign = np.array([bound.sign for bound in bounds])
     ratio = np.array([bound.ratio for bound in bounds])
     return Impact(
@@ -758,8 +761,8 @@ def _impact(t: float, contact: _Contact, impulse: Array, after: Array) -> Impact
         side=tuple(bound.side for bound in bounds),
         impulse=sign * impulse[rows] / ratio,
         rates=np.array([sign * u, sign * after[rows]]) * ratio,
-        energy_lost=-0.5 * impulse[rows] * (u + after[rows]),
-        work_of_drives=0.0,
+        energy_lost=lost[rows],
+        work_of_drives=work,
     )
 
 
