@@ -637,8 +637,11 @@ def wheel_and_slide() -> pinred.System:
 
 
 def test_pull_of_a_stop_within_round_off_of_the_energy_does_not_release() -> None:
-    """A fast wheel has the energy E, and the joint leaves where the pull exceeds 2e-14 E."""
-    speed = 1e4
+    """A fast wheel has the energy E, and the joint leaves where the pull exceeds 2e-14 E.
+
+    At this speed, compare fails if its own limit of the pull is another one.
+    """
+    speed = 1e6
     traj = pinred.simulate(
         wheel_and_slide(), x0=[0.0, 0.0], xdot0=[speed, 0.0], xi0=[0.0, 0.0, 0.0], duration=2.0,
         forces=[Torque(lambda t, *_: [0.0, t - 1.0])], stops={"slide": (0.0, 9.0)},
