@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from typing import cast
 
 import numpy as np
 import pinocchio as pin
@@ -25,7 +26,6 @@ from ..common.parameter import Parameter
 from ..common.progress import Progress
 from ..forces.switch_times import time_within
 from ..forces.tracking import ComputedTorque, ComputedTorqueAtRest
-from ..integrators.methods import ErrorControl
 from ..reduction.inertia_split import symmetric
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..scene.input_formats import list_forces
@@ -46,7 +46,7 @@ from .motion import Motion
 from .plan import Plan, plan_of
 from .polynomial_roots import bernstein, first_root
 from .reduced_flow import Integrate, ModeFlow, ReducedFlow, Segment
-from .run_record import Part, RunRecord
+from .run_record import Part
 from .sample import Sample
 from .singular_loops import refuse_singular_loops
 from .stop_engines import StopEngine
@@ -390,7 +390,7 @@ class _Run:
         plan: Plan,
         progress: Progress | None,
         engine: StopEngine,
-        checkpoint: Checkpoint | None = None,
+        checkpoint: Checkpoint | None,
     ) -> None:
         self._engine = engine
         self.plan, self.scene, self.bounds = plan, plan.scene, plan.scene.bounds
@@ -409,10 +409,9 @@ class _Run:
         self.watch = None if watched is None else Watch(self.scene, self.first, watched)
         # Force parameters of the scene, which controllers change.
         self._control, self._numbers = Control(self.scene), self.first.numbers.copy()
-        self.record: RunRecord | None = None
-        if checkpoint is not None:
-            assert isinstance(self.first, CompiledFlow)
-            self.record = checkpoint.run(self.first, plan)
+        self.record = (
+            None if checkpoint is None else checkpoint.run(cast(CompiledFlow, self.first), plan)
+        )
 
     def _limited(self, scene: Scene) -> Plan:
         return plan_of(scene).limited(self.plan.longest, self.plan.stops[:-1])
@@ -795,29 +794,7 @@ def run_with_stops(
     refuse_singular_loops(plan.system, motion)
     wall = time.perf_counter() - started - run.building  # kernels are built once
     if checkpoint is not None and run.record is not None:
-        assert isinstance(run.first, CompiledFlow)
-        checkpoint.close(run.record, run.first, plan, cut=motion.ended_by is not None)
+        flow = cast(CompiledFlow, run.first)
+        checkpoint.close(run.record, flow, plan, cut=motion.ended_by is not None)
     cost = Cost(engine, with_stops.method, motion.steps, motion.evaluations, wall, plan.notices)
     return trajectory_of_motion(plan, motion, cost, again)
-
-
-def refuse_with_stops(plan: Plan, *, checkpoint: bool) -> None:
-    """Reject options of a simulation that do not act together with stops.
-
-    Args:
-        plan: The plan of a scene with stops.
-        checkpoint: Whether a checkpoint is written.
-    Raises:
-        InputError: An option does not act together with stops; the message has the remedy.
-    """
-    method = plan.method
-    if not isinstance(method, ErrorControl) or method.symplectic:
-        raise InputError(
-            f"stops: expected none with method {method.name}, whose steps do not end at impacts. "
-            "Use DOP853, Tsit5, Radau or auto, or omit stops"
-        )
-    if checkpoint and plan.forces is not None and plan.forces.held:
-        raise InputError(
-            "checkpoint: expected no controllers in a scene with stops, because the impacts are "
-            "repeated from the start. Omit checkpoint, or use forces instead of controllers"
-        )

@@ -25,6 +25,7 @@ from pinred.judge.stop_reference import (
     full_state_of,
     matched,
 )
+from pinred.judge.time_budget import TimeBudget
 from pinred.judge.verdict import Verdict
 from pinred.simulation import run_with_stops
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
@@ -462,7 +463,7 @@ def test_reference_finds_rebounds_that_are_short_for_its_steps() -> None:
         bouncing_slide(), x0=[0.0], xdot0=[-1.0], xi0=[0.0], duration=4.0,
         forces=[Torque(lambda *_: [-push])], stops={"slide": pinred.Stop(0.0, restitution=0.5)},
     )  # fmt: skip
-    full, start = full_state_of(traj), traj.scene.start
+    full, start = full_state_of(traj, TimeBudget(60.0)), traj.scene.start
     assert isinstance(full, StoppedFullState)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     hits = full.solve_with_stops(y0, np.array([0.0, 4.0]), 1e-12, 1e-14).hits
