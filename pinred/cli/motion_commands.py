@@ -111,7 +111,7 @@ def run_run(arguments: argparse.Namespace) -> int:
     plan = plan_of(scene)
     explanation = explain(plan)  # This also verifies that the scene can be simulated.
     if scene.bounds:
-        from ..simulation.run_with_stops import refuse_with_stops
+        from ..simulation.stop_engines import refuse_with_stops
 
         refuse_with_stops(plan, checkpoint=checkpoint is not None)
     if arguments.explain:

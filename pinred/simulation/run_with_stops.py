@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from typing import cast
 
 import numpy as np
 import pinocchio as pin
@@ -25,7 +26,6 @@ from ..common.parameter import Parameter
 from ..common.waiting import Progress
 from ..forces.switch_times import time_within
 from ..forces.tracking import ComputedTorque, ComputedTorqueAtRest
-from ..integrators.methods import ErrorControl
 from ..reduction.inertia_split import symmetric
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..scene.input_formats import list_forces
@@ -36,7 +36,7 @@ from ..system.loops.looped_system import loop_jacobian
 from ..system.state_fields import ShapeState, State
 from ..system.system import System
 from .balances import driving_torques
-from .checkpoint import Checkpoint, Part, RunRecord
+from .checkpoint import Checkpoint, Part
 from .closed_loops import refuse_singular_loops
 from .compiled.compiled_flow import CompiledFlow
 from .control import Control, ControlAction
@@ -402,7 +402,7 @@ class _Run:
         plan: Plan,
         progress: Progress | None,
         engine: StopEngine,
-        checkpoint: Checkpoint | None = None,
+        checkpoint: Checkpoint | None,
     ) -> None:
         self._engine = engine
         self.plan, self.scene, self.bounds = plan, plan.scene, plan.scene.bounds
@@ -421,10 +421,9 @@ class _Run:
         self.watch = None if watched is None else Watch(self.scene, self.first, watched)
         # Force parameters of the scene, which controllers change.
         self._control, self._numbers = Control(self.scene), self.first.numbers.copy()
-        self.record: RunRecord | None = None
-        if checkpoint is not None:
-            assert isinstance(self.first, CompiledFlow)
-            self.record = checkpoint.run(self.first, plan)
+        self.record = (
+            None if checkpoint is None else checkpoint.run(cast(CompiledFlow, self.first), plan)
+        )
 
     def _limited(self, scene: Scene) -> Plan:
         return plan_of(scene).limited(self.plan.longest, self.plan.stops[:-1])
@@ -522,11 +521,13 @@ class _Run:
         first, within = search.found[0][0], self.scene.rtol * self.scene.end
         together = {bound for time, bound in search.found if time <= first + within}
         released = tuple(bound for bound in mode.rest if bound in together)
-        touching = []
-        for bound in mode.moving:
-            u, gap = bound.normal(x, len(xdot)) @ xdot, self._gap(bound, x)
-            if bound in together or gap <= 0.0 or (u < 0.0 and gap <= -u * within):
-                touching.append(bound)
+        touching = [
+            bound
+            for bound in mode.moving
+            if (gap := self._gap(bound, x)) <= 0.0
+            or bound in together
+            or gap <= -float(bound.normal(x, len(xdot)) @ xdot) * within
+        ]
         self._refuse_driven(touching, state.t)
         return self._resolve(state, mode.rest, touching, released)
 
@@ -566,10 +567,11 @@ class _Run:
         rates[[b.v for b in rests if b.surface is None]] = 0.0
         new = self.mode(rests, x, rates)
         flow = new.start.resumed(state.t, x, pi, state.flow, state.y)
-        impact = _impact(state.t, contact, impulse, after)
-        if impact is not None:
-            lost = float(impact.energy_lost.sum())
-            impact = replace(impact, work_of_drives=self._work_of_drives(state, x, rates, lost))
+        impact = None
+        if impulse.any():
+            lost = -0.5 * impulse * (contact.u + after)
+            work = self._work_of_drives(state, x, rates, float(lost.sum()))
+            impact = _impact(state.t, contact, impulse, after, lost, work)
         self._count(impact, state.t)
         return Phase(new, state.t, flow, impact)
 
@@ -750,15 +752,15 @@ class _Run:
 
     @staticmethod
     def _gap(bound: Bound, x: Array) -> float:
-        return float(bound.sign * (bound.values(x) - bound.position)) - margin_of(bound)
+        return bound.sign * (bound.values(x).item() - bound.position) - margin_of(bound)
 
 
-def _impact(t: float, contact: _Contact, impulse: Array, after: Array) -> Impact | None:
-    """Return the rows of an impact; None without impulses."""
+def _impact(
+    t: float, contact: _Contact, impulse: Array, after: Array, lost: Array, work: float
+) -> Impact:
+    """Return the rows of an impact; other arguments are those of Impact for all stops, (K,)."""
     rows = np.flatnonzero(impulse)
-    if not rows.size:
-        return None
-    bounds, u = [contact.bounds[k] for k in rows], contact.u[rows]
+    bounds, u = [contact.bounds[k] for k in rows.tolist()], contact.u[rows]
     sign = np.array([bound.sign for bound in bounds])
     ratio = np.array([bound.ratio for bound in bounds])
     return Impact(
@@ -767,8 +769,8 @@ def _impact(t: float, contact: _Contact, impulse: Array, after: Array) -> Impact
         side=tuple(bound.side for bound in bounds),
         impulse=sign * impulse[rows] / ratio,
         rates=np.array([sign * u, sign * after[rows]]) * ratio,
-        energy_lost=-0.5 * impulse[rows] * (u + after[rows]),
-        work_of_drives=0.0,
+        energy_lost=lost[rows],
+        work_of_drives=work,
     )
 
 
@@ -801,29 +803,7 @@ def run_with_stops(
     refuse_singular_loops(plan.system, motion)
     wall = time.perf_counter() - started - run.building  # kernels are built once
     if checkpoint is not None and run.record is not None:
-        assert isinstance(run.first, CompiledFlow)
-        checkpoint.close(run.record, run.first, plan, cut=motion.ended_by is not None)
+        flow = cast(CompiledFlow, run.first)
+        checkpoint.close(run.record, flow, plan, cut=motion.ended_by is not None)
     cost = Cost(engine, with_stops.method, motion.steps, motion.evaluations, wall, plan.notices)
     return trajectory_of_motion(plan, motion, cost, again)
-
-
-def refuse_with_stops(plan: Plan, *, checkpoint: bool) -> None:
-    """Reject options of a simulation that do not act together with stops.
-
-    Args:
-        plan: The plan of a scene with stops.
-        checkpoint: Whether a checkpoint is written.
-    Raises:
-        InputError: An option does not act together with stops; the message has the remedy.
-    """
-    method = plan.method
-    if not isinstance(method, ErrorControl) or method.symplectic:
-        raise InputError(
-            f"stops: expected none with method {method.name}, whose steps do not end at impacts. "
-            "Use DOP853, Tsit5, Radau or auto, or omit stops"
-        )
-    if checkpoint and plan.forces is not None and plan.forces.held:
-        raise InputError(
-            "checkpoint: expected no controllers in a scene with stops, because the impacts are "
-            "repeated from the start. Omit checkpoint, or use forces instead of controllers"
-        )

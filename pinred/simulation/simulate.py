@@ -152,7 +152,8 @@ def _simulated(
     again = partial(simulate, plan.scene, engine=engine, check=check)
     run: Callable[[Plan], Trajectory]
     if plan.scene.bounds:
-        from .run_with_stops import refuse_with_stops, run_with_stops
+        from .run_with_stops import run_with_stops
+        from .stop_engines import refuse_with_stops
 
         if engine == "compiled":
             _expect_code(plan)

@@ -204,7 +204,7 @@ def run_members(
         if not group.one_by_one:
             expect_members(group.plan.method)
         elif group.plan.scene.bounds:
-            from .run_with_stops import refuse_with_stops
+            from .stop_engines import refuse_with_stops
 
             refuse_with_stops(group.plan, checkpoint=False)
     from .compiled.compiled_flow import flows_of

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from ..common.errors import InputError
 from ..common.waiting import Progress
+from ..integrators.methods import ErrorControl
 from ..scene.scene import Engine
 from .compiled.compiled_flow import CompiledFlow
 from .compiled.integrator import integrator
@@ -43,3 +45,25 @@ class StopEngine:
         from .pinocchio_engine import integrator as scipy_integrator
 
         return cls("DOP853", DEGREE, PinocchioFlow, scipy_integrator)
+
+
+def refuse_with_stops(plan: Plan, *, checkpoint: bool) -> None:
+    """Reject options of a simulation that do not act together with stops.
+
+    Args:
+        plan: The plan of a scene with stops.
+        checkpoint: Whether a checkpoint is written.
+    Raises:
+        InputError: An option does not act together with stops; the message has the remedy.
+    """
+    method = plan.method
+    if not isinstance(method, ErrorControl) or method.symplectic:
+        raise InputError(
+            f"stops: expected none with method {method.name}, whose steps do not end at impacts. "
+            "Use DOP853, Tsit5, Radau or auto, or omit stops"
+        )
+    if checkpoint and plan.forces is not None and plan.forces.held:
+        raise InputError(
+            "checkpoint: expected no controllers in a scene with stops, because the impacts are "
+            "repeated from the start. Omit checkpoint, or use forces instead of controllers"
+        )

@@ -258,7 +258,7 @@ def _job(
     if varied.scene.method == "auto":
         varied.scene = replace(varied.scene, method=members_plan(varied.scene).method.name)
     if varied.scene.bounds:
-        from ..simulation.run_with_stops import refuse_with_stops
+        from ..simulation.stop_engines import refuse_with_stops
 
         refuse_with_stops(members_plan(varied.scene), checkpoint=False)
     sequence = PointSequence.of(chosen, laws, count, whole(seed, "seed", 0))

@@ -10,17 +10,26 @@ import numpy as np
 import pytest
 from hybrid_reference import stops_of
 from random_stops import random_stops
+from slides import bouncing_slide
 
 import pinred
+from pinred.common.arrays import Array
 from pinred.common.errors import IntegrationError
 from pinred.forces import Torque
 from pinred.judge import stop_checks
+from pinred.judge.reference_integrators import TimeBudget
 from pinred.judge.step_defects import defect_units, full_states
-from pinred.judge.stop_reference import Hit, StoppedFullState, full_state_of, matched
+from pinred.judge.stop_reference import (
+    Hit,
+    StoppedFullState,
+    complementary,
+    full_state_of,
+    matched,
+)
 from pinred.judge.verdict import Verdict
 from pinred.simulation import run_with_stops
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
-from pinred.simulation.impacts import impulses
+from pinred.simulation.impacts import impulses, solve_complementarity
 from pinred.simulation.reduced_flow import Segment
 
 START: dict[str, Any] = {
@@ -447,3 +456,75 @@ def test_impacts_that_the_simulation_joins_cannot_be_judged() -> None:
     assert traj.impacts.t[0] == traj.impacts.t[1]
     report = pinred.compare(traj)
     assert report.verdict is Verdict.CANNOT_TELL, report
+
+
+def test_reactions_are_computed_at_most_400_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A motion with many short steps at rest costs no more."""
+    traj = cat(0.0, forces=[PRESS], method="DOP853(max_step=2e-3)")
+    full, counts = full_state_of(traj), list[int]()
+    assert isinstance(full, StoppedFullState)
+    assert len(traj.motion.knots) > 450
+
+    def counted(*of: Any) -> Array:
+        counts.append(len(of[2]))
+        return full_states(*of)
+
+    monkeypatch.setattr(stop_checks, "full_states", counted)
+    assert stop_checks._pull(traj, full) == 0.0
+    assert counts == [400]
+
+
+def test_reference_finds_rebounds_that_are_short_for_its_steps() -> None:
+    """A pressed slide bounces with half its speed until 1e-6 m/s, as in the closed form."""
+    push, mass = 2.0, 0.75
+    traj = pinred.simulate(
+        bouncing_slide(), x0=[0.0], xdot0=[-1.0], xi0=[0.0], duration=4.0,
+        forces=[Torque(lambda *_: [-push])], stops={"slide": pinred.Stop(0.0, restitution=0.5)},
+    )  # fmt: skip
+    full, start = full_state_of(traj, TimeBudget(60.0)), traj.scene.start
+    assert isinstance(full, StoppedFullState)
+    y0 = full.state(start.pose, start.x, start.xi, start.xdot)
+    hits = full.solve_with_stops(y0, np.array([0.0, 4.0]), 1e-12, 1e-14).hits
+    speeds = 0.5 ** np.arange(len(hits))
+    np.testing.assert_allclose([hit.speed for hit in hits], speeds, rtol=1e-6, atol=1e-9)
+    times = np.cumsum(np.append(0.0, 2.0 * speeds[1:] * mass / push))
+    np.testing.assert_allclose([hit.t for hit in hits], times, atol=1e-9)
+    assert 10 <= len(hits) <= 21
+
+
+def test_speeds_affected_by_round_off_are_ten_times_that_of_a_sustained_rebound() -> None:
+    """A rebound lower than round-off of the position 0.3 ends at about 3e-5 m/s."""
+    push = 1e6 * 0.75
+    traj = pinred.simulate(
+        bouncing_slide(), x0=[0.3], xdot0=[-1.0], xi0=[0.0], duration=1e-5,
+        forces=[Torque(lambda *_: [-push])], stops={"slide": pinred.Stop(0.3, restitution=0.5)},
+    )  # fmt: skip
+    full, start = full_state_of(traj), traj.scene.start
+    assert isinstance(full, StoppedFullState)
+    y0 = full.state(start.pose, start.x, start.xi, start.xdot)
+    hits = full.solve_with_stops(y0, np.array([0.0, 1e-5]), 1e-12, 1e-14).hits
+    assert hits[-1].speed > 1e-5
+    np.testing.assert_allclose(full.lifted, 10.0 * hits[-1].speed, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("count", "most"), [(12, 5000), (13, 1)])
+def test_sets_of_up_to_twelve_stops_are_all_tried(
+    count: int, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """More sets would take minutes; relaxation finds the same solution."""
+    rng, calls, solve = np.random.default_rng(0), list[int](), np.linalg.solve
+    root = rng.normal(size=(count, count))
+    G, q = root @ root.T + np.eye(count), rng.normal(size=count)
+
+    def counted(*of: Any) -> Array:
+        calls.append(1)
+        return np.asarray(solve(*of))
+
+    monkeypatch.setattr(np.linalg, "solve", counted)
+    z = complementary(G, q)
+    assert (len(calls) > 4000) is (count == 12)
+    assert len(calls) <= most
+    w = G @ z + q
+    assert min(z.min(), w.min()) > -1e-9
+    np.testing.assert_allclose(z * w, 0.0, atol=1e-9)
+    np.testing.assert_allclose(z, solve_complementarity(G, q), atol=1e-9)

@@ -617,13 +617,18 @@ def test_motion_with_impacts_costs_little_more_than_its_pieces(
         assert isinstance(at, State)
         state = {"x0": at.x[0], "xdot0": at.xdot[0], "xi0": at.xi[0], "pose0": at.pose[0]}
         pieces.append((state, end - phase.start))
-    costs = np.zeros((15, 2))
-    for k, row in enumerate(costs):
-        factor, marks = 1.0 + 1e-7 * k, [time.process_time()]
-        pinred.simulate(system, duration=factor * duration, stops=stops, **start)
-        marks.append(time.process_time())
-        for state, length in pieces:
-            pinred.simulate(system, duration=factor * length, **state)
-        row[:] = np.diff([*marks, time.process_time()])
-    whole, alone = np.median(costs, axis=0)
-    assert whole <= 1.6 * alone  # 1.1 to 1.4
+    # Other processes only add time, to either side, so the smallest of several ratios decides.
+    ratios = []
+    for first in (1, 16, 31, 46):
+        costs = np.zeros((15, 2))
+        for k, row in enumerate(costs):
+            factor, marks = 1.0 + 1e-7 * (first + k), [time.process_time()]
+            pinred.simulate(system, duration=factor * duration, stops=stops, **start)
+            marks.append(time.process_time())
+            for state, length in pieces:
+                pinred.simulate(system, duration=factor * length, **state)
+            row[:] = np.diff([*marks, time.process_time()])
+        ratios.append(float(np.median(costs[:, 0] / costs[:, 1])))
+        if ratios[-1] <= 1.3:
+            return
+    raise AssertionError(f"the ratios of the times are {ratios}")  # 1.05 to 1.25

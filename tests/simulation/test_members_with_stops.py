@@ -18,6 +18,7 @@ from pinred.forces import PD, Controller, Damper, Torque
 from pinred.kernels.build import build_kernel
 from pinred.simulation.compiled import compiled_flow
 
+DOCS = Path(__file__).parents[2] / "docs" / "stops.md"
 CAT = pinred.load("falling_cat")
 STOPS: dict[str, Any] = {
     "bend": (-0.6, 0.6),
@@ -230,6 +231,8 @@ def test_kernels_of_modes_are_built_once(
 ) -> None:
     """Modes of members do not displace each other, nor the kernel without rest."""
     system = bouncing_pair_of_hinges()
+    assert "a system keeps those of 128 modes" in DOCS.read_text("utf-8")
+    assert compiled_flow.MOST_MODES == 128
     monkeypatch.setattr(compiled_flow, "MOST_KERNELS", 1)
     monkeypatch.setattr(compiled_flow, "MOST_MODES", most)
     built: list[str] = []
