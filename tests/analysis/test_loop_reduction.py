@@ -138,6 +138,7 @@ def test_phase_of_a_gait_equals_an_integration_with_pinocchio() -> None:
     np.testing.assert_allclose(pose, end, atol=1e-8)
 
 
+@pytest.mark.by_hand
 def test_legs_of_a_biped_turn_as_a_whole() -> None:
     """A turn of both hips of a leg closes the gait; it turns the torso backwards."""
     biped = pinred.load("parallel_biped", gravity=[0.0, 0.0, 0.0])

@@ -118,14 +118,19 @@ def test_loops_that_no_robot_can_have_are_refused_by_name() -> None:
         pinred.load(model, loops="coupler_tip=rocket_tip")
     with pytest.raises(ModelError, match=r"do not close: loop 'tips' has a gap of 1.4 m"):
         pinred.load(long_rocker, loops=loops)
-    with pytest.raises(ModelError, match=r"do not close|nothing can move"):
-        pinred.load(model, loops="coupler_tip=rocker_tip:6d")
     with pytest.raises(InputError, match="kind: expected one of 3d, 6d, x, y, z, got '5d'"):
         Loop("a", "b", "5d")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="expected FRAME=FRAME"):
         parse_loops("coupler_tip")
     with pytest.raises(InputError, match="two loops have the name 'tips'"):
         parse_loops([*loops, *loops])
+
+
+@pytest.mark.by_hand
+def test_loops_that_fix_all_joints_are_refused() -> None:
+    """A four-bar whose tips may not turn against each other has no shapes."""
+    with pytest.raises(ModelError, match=r"do not close|nothing can move"):
+        pinred.load(four_bar()[0], loops="coupler_tip=rocker_tip:6d")
 
 
 def test_redundant_equations_over_several_loops_are_found() -> None:

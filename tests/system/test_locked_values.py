@@ -124,7 +124,7 @@ def test_motion_with_varied_locks_matches_aba() -> None:
 
 @pytest.mark.slow
 def test_all_lock_values_share_one_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A hundred values of a locked leader and its follower need one kernel."""
+    """All values of a locked leader and its follower need one kernel."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path))
     made: list[str] = []
     whole: Any = vars(build)["compile_object"]
@@ -141,11 +141,11 @@ def test_all_lock_values_share_one_kernel(tmp_path: Path, monkeypatch: pytest.Mo
             system, seed=1, duration=0.02, times=[0.02], rtol=1e-6, parameters={"e1.lock": value}
         ).x[-1]
         for value in np.linspace(
-            0.3, 1.0, 100
+            0.3, 1.0, 25
         )  # At the loaded value 0.2 more terms would be constants.
     ]
     assert made == ["rate", "outputs"]
-    assert len(np.unique(ends, axis=0)) == 100
+    assert len(np.unique(ends, axis=0)) == 25
 
 
 def arm(*mimics: str) -> str:

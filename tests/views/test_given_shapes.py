@@ -70,7 +70,7 @@ def test_page_of_wrapper_contains_meshes(tmp_path: Path) -> None:
     pages = []
     for source in (robot, "solo12"):
         path = tmp_path / "page.html"
-        traj = pinred.simulate(pinred.load(source), seed=1, duration=0.05)
+        traj = pinred.simulate(pinred.load(source), seed=1, duration=0.05, engine="pinocchio")
         pinred.save_html(traj, path, fps=20)
         pages.append(path.read_text("utf-8"))
     counts = [len(re.findall(r'"kind": ?"mesh"', page)) for page in pages]

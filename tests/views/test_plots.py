@@ -52,12 +52,14 @@ def test_shape_plot_has_panels_by_branch() -> None:
     traj = pinred.simulate(pinred.load("planar_chain5"), duration=0.1)
     assert len(plots.shape(traj).axes) == 1
     pytest.importorskip("example_robot_data")
-    solo = pinred.simulate(pinred.load("solo12"), seed=0, duration=0.1)
+    solo = pinred.simulate(pinred.load("solo12"), seed=0, duration=0.1, engine="pinocchio")
     figure = plots.shape(solo)
     names = [[str(line.get_label()) for line in axes.lines] for axes in figure.axes]
     limbs = ("FL", "FR", "HL", "HR")
     assert names == [[f"{limb}_{joint}" for joint in ("HAA", "HFE", "KFE")] for limb in limbs]
-    talos = plots.shape(pinred.simulate(pinred.load("talos"), seed=0, duration=0.1))
+    talos = plots.shape(
+        pinred.simulate(pinred.load("talos"), seed=0, duration=0.1, engine="pinocchio")
+    )
     panels = [[str(line.get_label()) for line in axes.lines] for axes in talos.axes]
     assert sorted(name for panel in panels for name in panel) == sorted(
         pinred.load("talos").shape_names

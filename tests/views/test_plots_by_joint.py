@@ -135,7 +135,7 @@ def test_attitude_continues_through_full_turns() -> None:
 def test_limits_of_many_joints_name_the_largest_and_draw_all() -> None:
     """The legend of a panel has six joints and the number of the others."""
     pytest.importorskip("example_robot_data")
-    solo = pinred.simulate(pinred.load("solo12"), seed=0, duration=0.1)
+    solo = pinred.simulate(pinred.load("solo12"), seed=0, duration=0.1, engine="pinocchio")
     position, *_ = plots.limits(solo).axes
     names = [str(line.get_label()) for line in position.lines]
     legend = position.get_legend()
