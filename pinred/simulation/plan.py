@@ -330,9 +330,9 @@ class Plan:
         )
 
     def layout(self, *, zero_momentum: bool, generic: bool = False) -> Layout:
-        """Return the indices of integrated variables and of parameters; see `structure`."""
+        """Return the indices of integrated variables and of parameters, cached; see `structure`."""
         structure = self.structure(zero_momentum=zero_momentum, generic=generic)
-        return layout_of(self.system, structure, self.forces)
+        return once(structure, Layout, lambda: layout_of(self.system, structure, self.forces))
 
     def freed(self, *, generic: bool = False) -> Freed:
         """Return the parameters of the robot that are inputs of the kernel; see `structure`."""
