@@ -356,7 +356,7 @@ def test_one_thread_of_a_process_uses_the_devices(
     other = Thread(target=lambda: found.append(_states(kernel)))
     with cuda_driver._running:
         other.start()
-        other.join(2.0)
+        other.join(0.5)
         assert len(driver.launched) == 1
     other.join()
     assert np.array_equal(found[0], expected)

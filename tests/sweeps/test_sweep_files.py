@@ -46,10 +46,10 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_one_description_has_the_names_of_python() -> None:
-    """The keys of [sweep] are parameters of `sweep`; threads and progress are of one process."""
+    """The keys of [sweep] are parameters of `sweep`; the others are of one process."""
     parameters = [*inspect.signature(pinred.sweep).parameters]
     assert parameters[0] == "scene"
-    assert [*SWEEP_OPTIONS, "threads", "progress"] == parameters[1:]
+    assert [*SWEEP_OPTIONS, "threads", "device", "progress"] == parameters[1:]
 
 
 def test_command_gives_the_numbers_of_python(
