@@ -38,6 +38,7 @@ def check(system: pinred.System) -> None:
             if isinstance(loop, Loop):
                 rows = LoopRows.at(system.model, bodies_of(system), loop, joints)
             else:
+                assert isinstance(loop, JointPolynomial)
                 rows = PolynomialRow(tree, loop, joints)
             own, nu = range(place.stop - place.start), rng.normal(size=loop.equations)
             columns = [rows.row(n) for n in own]
