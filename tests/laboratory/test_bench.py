@@ -138,7 +138,7 @@ def test_table_aligns_columns() -> None:
     table = Table("made", rows, {"build_time": "s"}, "two robots", ("below",))
     assert str(table).splitlines() == [
         "two robots",
-        "robot  build time  steps   count",
+        "robot  build_time  steps   count",
         "              [s]",
         "arm         0.123   2.25  123456",
         "leg             —  12346       1",

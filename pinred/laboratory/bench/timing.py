@@ -65,7 +65,7 @@ class Table(Sequence[Any]):
         for name in vars(self.rows[0]) if self.rows else ():
             values = [getattr(row, name) for row in self.rows]
             units = [f"[{self.units[name]}]" if name in self.units else ""] * bool(self.units)
-            cells = [name.replace("_", " "), *units, *map(cell, values)]
+            cells = [name, *units, *map(cell, values)]
             side, width = ">" if columns else "<", max(map(len, cells))
             columns.append([f"{cell:{side}{width}}" for cell in cells])
         lines = ["  ".join(cells).rstrip() for cells in zip(*columns, strict=True)]
