@@ -158,7 +158,7 @@ def _in_parts(system: System, method: str) -> Any:
 
 
 def _uncommon(system: System) -> Any:
-    """Read a batch, prescribe a joint, linearise a motion, and integrate along a gait."""
+    """Read a batch, prescribe a joint, linearise a motion, and follow a gait, and more."""
     from ..laboratory.bench.flow_timing import kernel_repetitions
 
     driven: dict[str, Any] = {
@@ -172,6 +172,9 @@ def _uncommon(system: System) -> Any:
     for method in (name for name, kind in METHODS.items() if issubclass(kind, Explicit)):
         simulate_many(body, seeds=range(8), times=[_DURATION], method=method)
     corners = 0.1 * np.eye(3, system.m)
+    simulate(system, seed=1, duration=_DURATION, method="Gauss(0.01, solver='Newton')")
+    stops: Any = {system.shape_names[0]: (-3.0, 3.0)}
+    flow(system, wrt=["x0"], seed=1, duration=_DURATION, stops=stops).jacobian()
     linearised_flow(simulate(system, seed=1, duration=_DURATION)).advance(_DURATION)
     for repeat in kernel_repetitions(flow(system, wrt=["x0"], seed=1, duration=_DURATION)):
         repeat(1)

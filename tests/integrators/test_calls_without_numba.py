@@ -33,6 +33,7 @@ for name in sys.argv[1:]:
     except pinred.InputError:
         continue  # the steps of some methods have no derivatives
     end.vjp({"pose": np.ones(6)})
+pinred.simulate(cat, seed=1, times=times, method="Gauss(0.01, solver='Newton')")
 driven = pinred.simulate(cat, duration=0.1, prescribed={cat.shape_names[0]: "0.1*sin(t)"})
 for traj in (pinred.simulate(cat, seed=1, times=times), driven):
     report = pinred.compare(traj)
