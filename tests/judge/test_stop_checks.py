@@ -280,21 +280,3 @@ def test_grazes_within_the_error_of_positions_end_the_judgement() -> None:
     assert stop_checks.judgeable_until([(0.55, 0.59e-6)], np.inf, times, bounds) == 0.55
     assert stop_checks.judgeable_until([(0.55, 0.61e-6)], np.inf, times, bounds) == np.inf
     assert stop_checks.judgeable_until([(0.55, 0.61e-6)], 0.7, times, bounds) == 0.7
-
-
-def test_impacts_that_the_simulation_joins_cannot_be_judged() -> None:
-    """Two joints of the cat arrive within rtol times the duration, which makes one impact of two.
-
-    Their impulses differ by the order, so the reference, which has two impacts, decides nothing.
-    """
-    cat = pinred.load("falling_cat")
-    start = {"xdot0": [3.0, -2.0, 1.0], "duration": 0.3}
-    free = pinred.simulate(cat, **start, times=[0.15, 0.15 + 2e-5], rtol=1e-12)
-    stops = {
-        "bend": pinred.Stop(-1.0, float(free.x[0, 0]), 0.8),
-        "sway": pinred.Stop(float(free.x[1, 1]), 1.0, 0.8),
-    }
-    traj = pinred.simulate(cat, **start, stops=stops, rtol=1e-4)
-    assert traj.impacts.t[0] == traj.impacts.t[1]
-    report = pinred.compare(traj)
-    assert report.verdict is Verdict.CANNOT_TELL, report
