@@ -216,7 +216,7 @@ def test_precession_on_a_cone_has_the_closed_form(engine: Any) -> None:
     np.testing.assert_allclose(size, abs(a * beta * omega * np.sin(A)), rtol=1e-9)
 
 
-REST = {
+REST: dict[str, Any] = {
     "swing": {"swing": 0.5},
     "angle": {"angle": 0.6},
     "twist": {"twist": (-0.3, 0.3)},
