@@ -30,7 +30,7 @@ STOP_TABLE = Table(
     {
         "lower": Key(NUMBER, "lower stop [rad | m]", default="none"),
         "upper": Key(NUMBER, "upper stop [rad | m]", default="none"),
-        "restitution": Key(NUMBER, "ratio of the rates after and before, 0 to 1", default="0"),
+        "restitution": Key(NUMBER, "ratio of rates after and before", default="0; 1 for balls"),
         "rest_rate": Key(
             POSITIVE, "rebound below which a joint rests [rad/s | m/s]", default="1e-06"
         ),

@@ -22,7 +22,7 @@ def explain(plan: Plan) -> str:
         lines.append(f"note: {note}")
     if plan.scene.bounds:
         names = dict.fromkeys(bound.joint for bound in plan.scene.bounds)
-        lines.append(f"stops: {', '.join(names)}; joints at rest are locked, one kernel per mode")
+        lines.append(f"stops: {', '.join(names)}; each set of joints at rest has a kernel")
     if plan.scene.left_out:
         lines.append(f"left out: {plan.scene.left_out}")
     return "\n".join([*lines, f"method: {plan.method.name} ({plan.choice.why})"])

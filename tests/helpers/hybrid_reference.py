@@ -206,8 +206,8 @@ class HybridReference:
         rest = np.zeros(self.model.nv)
         units = [rest, *np.eye(self.model.nv)]
         weight, *columns = [pin.rnea(self.model, self.data, q, rest, a).copy() for a in units]
-        mass: Array = np.array(columns) - weight
-        return mass
+        H: Array = np.array(columns) - weight
+        return H
 
     def normals(self, rows: tuple[int, ...], q: Array) -> Array:
         """Return the directions away from stops, as rows."""

@@ -32,7 +32,7 @@ def with_fault(system: pinred.System, kind: str, joint: int, axis: int) -> pinre
     else:
         turn = pin.exp3(BY * entry)
         model.jointPlacements[joint] = pin.SE3(place.rotation @ turn, place.translation)
-    return pinred.load(model, loops=system.loops)
+    return pinred.load(model, loops=system.loops)  # type: ignore[arg-type]
 
 
 @cache

@@ -8,14 +8,20 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from ball_trees import joined_bodies
 from loop_robots import five_bar, gripper, random_loops
 
 import pinred
 from pinred.reduction.tree.all_joints import joint_rates, joint_values, on_shape
 from pinred.reduction.tree.body_frames import bodies_of
-from pinred.reduction.tree.loop_constraints import LoopRows, PolynomialRow
-from pinred.system.loops.loop import JointPolynomial, Loop
-from pinred.system.loops.looped_system import loop_jacobian, loop_jacobian_rate, loop_kinematics
+from pinred.reduction.tree.loop_constraints import LoopRows, PolynomialRow, SurfaceRow
+from pinred.system.loops.loop import BallSurface, JointPolynomial, Loop
+from pinred.system.loops.looped_system import (
+    loop_jacobian,
+    loop_jacobian_rate,
+    loop_kinematics,
+    loop_values,
+)
 
 ROBOTS: dict[str, Callable[[], tuple[pin.Model, list[Loop]]]] = {
     "points": five_bar,
@@ -34,9 +40,11 @@ def check(system: pinred.System) -> None:
         joints, rates = joint_values(system, x.tolist()), joint_rates(system, xdot.tolist())
         J, Jdot = loop_jacobian(system, x), loop_jacobian_rate(system, x, xdot)
         for loop, place in zip(system.loops, loop_kinematics(system).rows, strict=True):
-            rows: LoopRows | PolynomialRow
+            rows: LoopRows | PolynomialRow | SurfaceRow
             if isinstance(loop, Loop):
                 rows = LoopRows.at(system.model, bodies_of(system), loop, joints)
+            elif isinstance(loop, BallSurface):
+                rows = SurfaceRow(tree, loop, joints)
             else:
                 assert isinstance(loop, JointPolynomial)
                 rows = PolynomialRow(tree, loop, joints)
@@ -70,3 +78,19 @@ def test_rows_with_followers_and_polynomials_equal_those_of_pinocchio(tmp_path: 
     assert system.coupled is not None
     assert any(isinstance(loop, JointPolynomial) for loop in system.loops)
     check(system)
+
+
+@pytest.mark.parametrize("kind", ["angle", "swing", "twist"])
+def test_rows_of_surfaces_of_balls_equal_differences_of_their_values(kind: str) -> None:
+    """Rows of CasADi, rows in NumPy, and central differences along the rates of the ball."""
+    axis = tuple((np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)).tolist())
+    system = joined_bodies().on_surfaces((BallSurface("joint", kind, 0.7, axis),))
+    check(system)
+    rng, h = np.random.default_rng(1), 1e-5
+    x = system.space.integrate(system.space.neutral, rng.normal(size=3))
+    ends = [
+        [loop_values(system, system.space.integrate(x, s * h * unit)) for s in (-1.0, 1.0)]
+        for unit in np.eye(3)
+    ]
+    differences = [(after - before)[0] / (2.0 * h) for before, after in ends]
+    np.testing.assert_allclose(loop_jacobian(system, x)[0], differences, atol=1e-9)

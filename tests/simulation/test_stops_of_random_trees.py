@@ -146,7 +146,7 @@ def test_random_trees_agree_with_full_state_dynamics(seed: int) -> None:
     assert_random_tree_agrees(seed)
 
 
-@pytest.mark.parametrize("seed", [2, 29, 32])
+@pytest.mark.parametrize("seed", [2, 32, 34])
 def test_joints_that_follow_several_others_rest_at_their_stops(seed: int) -> None:
     """The full-state code has the follower as a joint of its own, with a multiplier."""
     system, rng = (
