@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -36,7 +37,13 @@ class Pair:
 
 def framed(system: System, rng: np.random.Generator, *, flat: bool = False) -> System:
     """Return a system with a link for each joint, and a frame "tip" on a random link."""
-    model = system.model.copy()
+    model = framed_model(system.model, rng, flat=flat)
+    return System(model, system.name, contents=system.contents)
+
+
+def framed_model(model: pin.Model, rng: np.random.Generator, *, flat: bool = False) -> pin.Model:
+    """Return a copy with a link for each joint, and a frame "tip" on a random link."""
+    model = model.copy()
     for joint in range(1, model.njoints):
         link = pin.Frame(f"link {joint}", joint, 0, pin.SE3.Identity(), pin.FrameType.BODY)
         model.addFrame(link, False)
@@ -46,7 +53,7 @@ def framed(system: System, rng: np.random.Generator, *, flat: bool = False) -> S
         at = pin.SE3(np.eye(3), np.array([*at.translation[:2], 0.0]))
     number = model.getFrameId(f"link {joint}", pin.FrameType.BODY)
     model.addFrame(pin.Frame("tip", joint, number, at, pin.FrameType.OP_FRAME), False)
-    return System(model, system.name, contents=system.contents)
+    return model
 
 
 def flat_tree(seed: int, joints: int) -> System:
@@ -79,7 +86,8 @@ def random_robot(kind: str, seed: int, rng: np.random.Generator) -> System:
     if kind == "loops":
         loop_kinds: tuple[LoopKind, ...] = ("3d", "6d", "z")
         model, loops = random_loops(seed, (loop_kinds[seed % 3],), 4, balls=seed % 2 > 0)
-        return framed(System(model, model.name, contents=Contents(loops=tuple(loops))), rng)
+        model = framed_model(model, rng)
+        return System(model, model.name, contents=Contents(loops=tuple(loops)))
     if kind == "flat":
         return framed(flat_tree(seed, joints), rng, flat=True)
     model = random_model("SE3", joints, seed)
@@ -87,6 +95,7 @@ def random_robot(kind: str, seed: int, rng: np.random.Generator) -> System:
     return framed(System(model, f"tree {seed}"), rng)
 
 
+@cache
 def make_pair(kind: str, seed: int) -> Pair:
     """Return a random pair; both robots have the same kind and the same names."""
     rng = np.random.default_rng(seed)

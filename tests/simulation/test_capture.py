@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,8 @@ from pinred.system.loops.loop import Loop
 from pinred.system.passive import Spring
 from pinred.system.robot_file_contents import Contents, Keyframe
 
-PAIRS = 50
+PAIRS = 20
+MANY_PAIRS = 50
 KINDS = ("trees", "balls", "followers", "loops", "flat")
 REST = (0.0, 0.0, 0.0)
 
@@ -36,7 +38,19 @@ def twist_error(found: Twists, expected: Twists, before: Twists) -> float:
 @pytest.mark.parametrize("kind", KINDS)
 def test_capture_of_random_pairs_equals_constrained_impulse(kind: str) -> None:
     """Links move as multipliers on both mass matrices say; momentum and energy balance."""
-    for seed in range(KINDS.index(kind), PAIRS, len(KINDS)):
+    assert_impulses(kind, range(KINDS.index(kind), PAIRS, len(KINDS)))
+
+
+@pytest.mark.by_hand
+@pytest.mark.parametrize("kind", KINDS)
+def test_capture_of_more_random_pairs_equals_constrained_impulse(kind: str) -> None:
+    """The same for further pairs."""
+    assert_impulses(kind, range(PAIRS + KINDS.index(kind), MANY_PAIRS, len(KINDS)))
+
+
+def assert_impulses(kind: str, seeds: range) -> None:
+    """Assert the velocities, the impulse and the balances of captures."""
+    for seed in seeds:
         pair = make_pair(kind, seed)
         capture = pinred.capture(pair.a, pair.b, at="tip", onto="tip")
         a, b = Full(pair.a), Full(pair.b)
@@ -308,6 +322,7 @@ def start_at(system: pinred.System, **options: object) -> Scene:
     return Scene(system=system, **{"xdot0": np.zeros(system.m), **options})  # type: ignore[arg-type]
 
 
+@cache
 def rejected_captures() -> dict[str, tuple[Callable[[], object], str]]:
     """Return captures that are refused, with words of the message."""
     rock = pinred.Model("rock").body("rock", mass=1.0, inertia=1.0)
@@ -395,7 +410,7 @@ def test_robot_with_a_loop_captures_and_is_captured_alike() -> None:
 def test_captured_robot_starts_its_loops_at_the_known_closed_shape() -> None:
     """Balls that turn over have the inverse attitude; all other joints have the same values."""
     turned = 0
-    for seed in range(4):
+    for seed in (3, 8, 13):
         pair = make_pair("loops", seed)
         capture = pinred.capture(pair.a, pair.b, at="tip", onto="tip")
         known, joined = pair.b.system, capture.system

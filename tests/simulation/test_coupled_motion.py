@@ -27,6 +27,7 @@ Engine = Literal["compiled", "pinocchio"]
 ENGINES: list[Engine] = ["compiled", "pinocchio"]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(
     ("group", "seed"),
@@ -290,6 +291,7 @@ def test_random_states_respect_limits_of_followers(tmp_path: Path) -> None:
     assert (x >= -0.01 / 3.0).all()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", [5, 11])
 def test_joined_limbs_beside_couplings_agree_with_aba(seed: int) -> None:
     """Limbs without couplings are joined; a coupling joins another limb and the trunk."""

@@ -226,6 +226,7 @@ def five_bar_scene() -> tuple[pinred.Scene, Values]:
     return scene, {**other, "xi0": np.array([0.1, 0.2, 0.3]), "height": 0.3, "frequency": 2.2}
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("make", [four_bar_scene, five_bar_scene])
 @pytest.mark.filterwarnings("ignore::pinred.LoopWarning")
 def test_derivatives_of_flows_with_prescribed_joints_equal_differences(

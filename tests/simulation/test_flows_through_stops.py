@@ -175,7 +175,7 @@ def cat_run() -> dict[str, Any]:
         )
     ]
     stops = {"bend": (-0.3, 0.3), "sway": (-0.3, 0.3)}
-    return {"xdot0": [2.0, -1.0, 0.5], "duration": 1.4, "stops": stops, "forces": forces}
+    return {"xdot0": [2.0, -1.0, 0.5], "duration": 0.8, "stops": stops, "forces": forces}
 
 
 def test_joints_at_rest_together_agree_with_differences() -> None:
@@ -230,14 +230,13 @@ def assert_tree(seed: int) -> None:
     assert_derivatives(system, inputs, h=2e-5, tolerance=1e-6, **run)
 
 
-@pytest.mark.parametrize("seed", [3])
-def test_random_trees_agree_with_differences(seed: int) -> None:
-    """A tree on SO(3) with followers, whose joints come to rest."""
-    assert_tree(seed)
+def test_random_tree_agrees_with_differences() -> None:
+    """A tree on SE(2) with followers, which comes to rest."""
+    assert_tree(7)
 
 
 @pytest.mark.by_hand
-@pytest.mark.parametrize("seed", [k for k in range(40) if k != 3])
+@pytest.mark.parametrize("seed", [k for k in range(40) if k != 7])
 def test_many_random_trees_agree_with_differences(seed: int) -> None:
     """Random trees on all groups."""
     assert_tree(seed)
@@ -291,7 +290,7 @@ def test_gravity_at_a_pivot_agrees_with_differences() -> None:
 def test_rest_and_release_agree_with_full_state_differences() -> None:
     """Differences of pin.aba, SciPy and impulses of CRBA, with a torque that depends on time."""
     cat = pinred.load("falling_cat")
-    run = {**cat_run(), "duration": 0.8, **TIGHT}
+    run = {**cat_run(), **TIGHT}
     flow = pinred.flow(cat, wrt=["x0", "xdot0", "xi0", "push"], **run)
     traj = pinred.simulate(flow.scene)
     assert len(traj.motion.modes) > 2

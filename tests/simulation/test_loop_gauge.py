@@ -47,6 +47,7 @@ def run(method: Method, duration: float) -> tuple[pinred.Trajectory, Array]:
     return traj, nu
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("method", "gap", "energy"),
     [(pinred.DOP853(1e-10, 1e-12), 3e-8, 3e-7), (pinred.Gauss(0.005, 6), 1e-7, 5e-8)],

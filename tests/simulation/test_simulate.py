@@ -154,6 +154,7 @@ def test_free_fall_is_exact(group: str) -> None:
     assert np.abs(traj.energy - traj.energy[0]).max() < 1e-8 * np.abs(traj.energy).max()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("group", sorted(GROUPS))
 @pytest.mark.parametrize("joints", [0, 3])
 def test_zero_momentum_motion_is_horizontal(group: str, joints: int) -> None:
