@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from hypothesis import settings
 from hypothesis import strategies as st
 from trees import random_model
 
@@ -14,6 +15,12 @@ from pinred.lie import GROUPS
 
 groups = st.sampled_from(sorted(GROUPS))
 seeds = st.integers(0, 2**32 - 1)
+
+
+def examples(quick: int, many: int) -> settings:
+    """Return the settings of a test: its number of examples in the default run, and by hand."""
+    is_quick = settings.default is settings.get_profile("repeatable")
+    return settings(max_examples=quick if is_quick else many)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from hypothesis import given, settings
-from strategies import Case, cases
+from strategies import Case, cases, examples
 from trees import random_model
 
 import pinred
@@ -29,16 +29,8 @@ from pinred.system.robot_files import bundled_robots
 LONG = {"four_bar", "parallel_biped"}  # whose motion over 3 s takes several seconds
 
 
-@pytest.fixture(autouse=True)
-def private_cache(
-    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Use a private folder for the kernels of each test."""
-    monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path_factory.mktemp("cache", numbered=True)))
-
-
 @pytest.mark.slow
-@settings(max_examples=8)
+@examples(3, 8)
 @given(cases(0, 6))
 def test_kernel_rate_equals_readable_route(case: Case) -> None:
     """Random groups, joints and springs, with and without momentum."""

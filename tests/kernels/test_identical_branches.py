@@ -177,6 +177,7 @@ def test_kernels_with_identical_branches_equal_readable_route(
     check_rate(pinred.load(made(group, limbs, joints, seed)), seed)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("group", "seed"), [("SE3", 2), ("SO2", 5), ("SE2", 11)])
 def test_kernels_with_joined_limbs_equal_readable_route(group: str, seed: int) -> None:
     """Limbs of different lengths, on different bodies, with forks; also with prescribed joints."""
@@ -305,6 +306,7 @@ def test_derivatives_of_lane_operations_equal_casadi(width: int) -> None:
     assert found[-1] == 0.0  # a constant
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("group", "limbs"), [("SE3", 2), ("SO3", 3), ("SE2", 4), ("SE3", 5)])
 def test_derivatives_with_identical_branches_equal_casadi(group: str, limbs: int) -> None:
     """CasADi's derivatives of the equations without lanes are the same."""

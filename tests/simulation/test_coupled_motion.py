@@ -28,11 +28,11 @@ ENGINES: list[Engine] = ["compiled", "pinocchio"]
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(
     ("group", "seed"),
     [("SE3", 0), ("SE3", 1), ("SE2", 2), ("SO3", 3), ("SO2", 4), ("R", 5), ("RxSE2", 6)],
 )
+@pytest.mark.parametrize("engine", ENGINES)
 def test_coupled_trees_agree_with_aba_with_multipliers(
     group: str, seed: int, engine: Engine
 ) -> None:

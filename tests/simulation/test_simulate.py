@@ -156,7 +156,7 @@ def test_free_fall_is_exact(group: str) -> None:
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("group", sorted(GROUPS))
-@pytest.mark.parametrize("joints", [0, 3])
+@pytest.mark.parametrize("joints", [pytest.param(0, marks=pytest.mark.by_hand), 3])
 def test_zero_momentum_motion_is_horizontal(group: str, joints: int) -> None:
     """With momentum=0 the base moves by ξ = −A ẋ, and the momentum remains zero."""
     system = pinred.load(random_model(group, joints, 8))
