@@ -6,6 +6,7 @@ import io
 import resource
 import shutil
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -31,14 +32,14 @@ def _with(saved: Path, **changed: object) -> Path:
 
 @pytest.mark.slow
 def test_archive_bomb_is_not_unpacked(tmp_path: Path) -> None:
-    """4 GB of zeros in 4 MB are rejected by the sizes that the archive states."""
-    path, block = tmp_path / "bomb.npz", bytes(10_000_000)
-    with (
-        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file,
-        file.open("t.npy", "w", force_zip64=True) as member,
-    ):
-        for _ in range(110):
-            member.write(block)
+    """1.1 GB of zeros in 5 MB are rejected by the sizes that the archive states."""
+    path, count = tmp_path / "bomb.npz", 110
+    deflate = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS)
+    block = deflate.compress(bytes(10_000_000)) + deflate.flush(zlib.Z_FULL_FLUSH)
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("t.npy", block * count + deflate.flush())
+        (member,) = file.filelist  # the table at the end of the file, not yet written
+        member.compress_type, member.file_size = zipfile.ZIP_DEFLATED, 10_000_000 * count
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(pinred.LoadError, match=r"would take 1\.1 GB unpacked"):
         read_recording(path)

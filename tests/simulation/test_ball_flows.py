@@ -188,7 +188,7 @@ def test_jax_and_torch_differentiate_quaternion_entries(bodies: pinred.System) -
 
 def test_flow_of_tree_with_prescribed_joint_equals_simulation() -> None:
     """A prescribed hinge between balls, whose indices of coordinate and rate differ."""
-    system = ball_tree(11, 4)
+    system = ball_tree(11, 3)
     name = next(j.name for j in system.space.joints[1:] if not j.kind.is_ball)
     assert system.x_names.index(name) != system.shape_names.index(name)
     high = Parameter("high", 0.3)

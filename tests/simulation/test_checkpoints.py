@@ -173,8 +173,8 @@ def test_resumed_run_ends_at_the_same_event(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """A terminal event in the middle of a run, and a run that is called again after it."""
-    turned = pinred.Event("x['twist'] + 300.0", "turned", terminal=True)
-    options = {"duration": 300.0, "times": [0.0, 300.0], "events": [turned], "rtol": 1e-12}
+    turned = pinred.Event("x['twist'] + 60.0", "turned", terminal=True)
+    options = {"duration": 60.0, "times": [0.0, 60.0], "events": [turned], "rtol": 1e-12}
     make = partial(cat_scene, **options)
     path = tmp_path / "run.ckpt"
     whole, other = resumed(monkeypatch, make, path)

@@ -438,6 +438,7 @@ def test_prescribed_motion_beyond_the_limits_of_the_file_is_refused() -> None:
         pinred.simulate(system, prescribed={"bend": "3*t"}, hold="free", duration=1.0, stops="file")
 
 
+@pytest.mark.by_hand
 def test_turns_within_the_limits_of_the_file_hit_no_stop() -> None:
     """Results of reorient respect the limits of the file."""
     cat = pinred.load("falling_cat")
