@@ -28,7 +28,9 @@ MEMBERS, BROKEN = 24, (3, 4, 12)  # with one thread three of them one after anot
 
 
 @pytest.mark.parametrize("method", CASES, ids=str)
-@pytest.mark.parametrize("robot", ["coupled_spatial", "planar_chain5"])
+@pytest.mark.parametrize(
+    "robot", ["coupled_spatial", pytest.param("planar_chain5", marks=pytest.mark.by_hand)]
+)
 def test_reused_work_rows_do_not_affect_next_member(robot: str, method: Method) -> None:
     """Neither states nor sums nor non-finite numbers remain from the previous member."""
     system = pinred.load(robot)

@@ -300,7 +300,7 @@ def test_steps_without_a_solution_are_refused_with_their_time() -> None:
             method,
             field,
             replace(solution, _knots=knots),
-            np.empty(0),
+            read_only(np.empty(0)),
             np.ones(N),
             np.empty((0, N)),
         )

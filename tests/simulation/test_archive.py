@@ -8,6 +8,7 @@ import shutil
 import zipfile
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -127,18 +128,27 @@ def test_robot_file_that_is_a_link_is_refused(suffix: str, tmp_path: Path) -> No
     assert read().shape_names == ("bend", "sway", "twist")
 
 
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Return the arrays of a recording."""
+    path = tmp_path_factory.mktemp("recorded") / "m.npz"
+    pinred.simulate(pinred.load("falling_cat"), duration=0.1).save(path)
+    return dict(np.load(path))
+
+
 @pytest.mark.parametrize(
     "source",
     ["a\0b.urdf", "a\0b", "/a\0b/c.urdf", "\ud800.urdf", "x" * 300 + ".urdf", "y" * 300,
      "a/" * 3000 + "c.urdf", "loop.urdf", "folder.urdf", "..", "/", "/dev/zero", "~/x.urdf"],
 )  # fmt: skip
-def test_robot_name_that_is_no_file_name_is_refused(source: str, tmp_path: Path) -> None:
+def test_robot_name_that_is_no_file_name_is_refused(
+    source: str, recorded: dict[str, Any], tmp_path: Path
+) -> None:
     """Names in files may be invalid, or those of folders, devices and loops of links."""
     path = tmp_path / "m.npz"
-    pinred.simulate(pinred.load("falling_cat"), duration=0.1).save(path)
     (tmp_path / "loop.urdf").symlink_to("loop.urdf")
     (tmp_path / "folder.urdf").mkdir()
-    np.savez(path, **{**dict(np.load(path)), "source": np.array(source)})
+    np.savez(path, **recorded | {"source": np.array(source)})
     recording = pinred.read_recording(path)
     with pytest.raises(pinred.LoadError):
         _ = recording.system
