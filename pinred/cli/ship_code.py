@@ -138,6 +138,7 @@ def _calls(system: System) -> Iterator[Callable[[], Any]]:
         yield partial(_in_parts, system, method)
         yield partial(simulate_many, system, seeds=range(8), times=[_DURATION], method=method)
         yield partial(_derivatives, system, method)
+        yield partial(_without_variables, method)
     yield lambda: compare(simulate(system, seed=1, duration=_DURATION))
     for kind in (DOP853, Tsit5):
         yield partial(stepper_with_few_rows(kind()).loops.advance, *loop_arguments())
@@ -155,6 +156,12 @@ def _in_parts(system: System, method: str) -> Any:
     """Hold a torque piecewise, so that the motion has two parts."""
     torque = Torque({system.space.names[0]: Hold([0.0, 0.5 * _DURATION], [1.0, 0.0])})
     return simulate(system, seed=1, duration=_DURATION, method=method, forces=[torque])
+
+
+def _without_variables(method: str) -> Any:
+    """Integrate a batch of a body that only translates."""
+    cart = load("cartpole", lock=["pole_pivot"])
+    return simulate_many(cart, xi0=[[1.0], [2.0]], duration=_DURATION, method=method)
 
 
 def _uncommon(system: System) -> Any:

@@ -130,7 +130,9 @@ def run_along(
     Raises:
         NoConvergence: The equations of an implicit step did not converge.
     """
-    params, knots, times = (read_only(array.view()) for array in (params, knots, times))
+    params, knots, times = (
+        read_only(np.ascontiguousarray(array).view()) for array in (params, knots, times)
+    )
     replay = (field.address, field.quaternions, params, knots, times)
     if isinstance(method, Explicit):
         return _explicit_along(method, field, replay, y0, along, along_params)
@@ -139,7 +141,7 @@ def run_along(
     out, out_along = np.empty((len(times), n)), np.empty((len(times), count, n))
     tangents = (y, directions, np.ascontiguousarray(along_params.T), out, out_along)
     slopes = field.tangents(lanes) if count else 0
-    starts = read_only(np.empty((0, n)) if states is None else states.view())
+    starts = read_only(np.empty((0, n)) if states is None else np.ascontiguousarray(states).view())
     rows = sensitivity_rows(stages, n)
     failed = gauss.forward(replay, slopes, lanes, starts, tangents, rows)
     _refuse_failed(failed, knots, y)

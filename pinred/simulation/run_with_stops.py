@@ -30,7 +30,7 @@ from ..reduction.inertia_split import symmetric
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..scene.input_formats import list_forces
 from ..scene.scene import Engine, Scene
-from ..scene.stop import BallBound, Bound, place
+from ..scene.stop import Bound, place
 from ..system.coordinates import Indices
 from ..system.loops.looped_system import loop_jacobian
 from ..system.state_fields import ShapeState, State
@@ -53,7 +53,7 @@ from .impacts import (
 from .motion import Motion
 from .plan import Plan, plan_of
 from .reduced_flow import Integrate, ModeFlow, ReducedFlow, Sample, Segment
-from .stop_engines import StopEngine
+from .stop_engines import StopEngine, refuse_undefined
 from .trajectory import Again, Cost, Trajectory, trajectory_of_motion
 
 _ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # of a position, relative
@@ -546,7 +546,7 @@ class _Run:
         x, xdot, pi = map(np.copy, state.values)
         among = {*rest, *touching}
         bounds = tuple(bound for bound in self.bounds if bound in among)
-        self._refuse_undefined(bounds, x, state.t)
+        refuse_undefined(bounds, x, state.t)
         place(bounds, x)
         normals = np.array([b.normal(x, len(pi)) for b in bounds]).reshape(-1, len(pi))
         inverse = self._inverse_metric(x, normals[:, self._rates])
@@ -640,16 +640,6 @@ class _Run:
         if (locked >= -_CLINGING * energy).all():
             return np.ones(len(rest), dtype=bool), back
         return solve_complementarity(G, -G @ locked) > 0.0, back
-
-    def _refuse_undefined(self, bounds: Rest, x: Array, t: float) -> None:
-        """Reject a ball at its twist stop whose swing reaches π."""
-        for bound in bounds:
-            if isinstance(bound, BallBound) and bound.is_undefined(x):
-                raise IntegrationError(
-                    f"stops: the swing of ball joint '{bound.joint}' reaches π at t = {t:g} s, "
-                    "where its twist is not defined. Bound its swing as well, such as "
-                    "BallStop(twist=…, swing=3)"
-                )
 
     def _refuse_dependent(self, bounds: Rest, G: Array, t: float) -> None:
         """Reject stops of joints that loops, balls or followers make depend on each other.

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from ..common.errors import InputError
+from ..common.arrays import Array
+from ..common.errors import InputError, IntegrationError
 from ..common.waiting import Progress
 from ..integrators.methods import ErrorControl
 from ..scene.scene import Engine
+from ..scene.stop import BallBound, Bound
 from .compiled.compiled_flow import CompiledFlow
 from .compiled.integrator import integrator
 from .plan import Plan
@@ -67,3 +69,22 @@ def refuse_with_stops(plan: Plan, *, checkpoint: bool) -> None:
             "checkpoint: expected no controllers in a scene with stops, because the impacts are "
             "repeated from the start. Omit checkpoint, or use forces instead of controllers"
         )
+
+
+def refuse_undefined(bounds: Iterable[Bound], x: Array, t: float) -> None:
+    """Reject a ball at its twist stop whose swing reaches π.
+
+    Args:
+        bounds: The stops at which joints are.
+        x: Shape, (nx,) [rad | m | 1].
+        t: Time [s].
+    Raises:
+        IntegrationError: The twist of a ball is not defined.
+    """
+    for bound in bounds:
+        if isinstance(bound, BallBound) and bound.is_undefined(x):
+            raise IntegrationError(
+                f"stops: the swing of ball joint '{bound.joint}' reaches π at t = {t:g} s, "
+                "where its twist is not defined. Bound its swing as well, such as "
+                "BallStop(twist=…, swing=3)"
+            )
