@@ -160,6 +160,8 @@ def jacobian_by_columns(native: NativeCode, y: Array, parameters: Array) -> Arra
         (size, size): ∂ẏ/∂y.
     """
     n = len(y)
+    if n == 0:  # a body without variables
+        return np.zeros((0, 0))
     seeds, derivatives = np.zeros((2, n * SEEDS))
     padded = np.zeros((n, -(-n // SEEDS) * SEEDS))
     linear_systems.jacobian(native.address, y, parameters, seeds, derivatives, padded, 0, n)
