@@ -133,3 +133,11 @@ def screen() -> Iterator[Browser]:
         pytest.skip(str(error))
     with browser() as opened:
         yield opened
+
+
+@pytest.fixture(scope="module")
+def code_of_default_level() -> Iterator[None]:
+    """Compile kernels as users do, in modules that compare last bits of several kernels."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("PINRED_CODE_LEVEL", raising=False)
+        yield

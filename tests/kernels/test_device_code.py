@@ -35,9 +35,13 @@ from pinred.kernels.state_layout import Structure
 _EXTERN = b".extern"  # of functions that another module defines
 
 
+pytestmark = pytest.mark.usefixtures("code_of_default_level")
+
+
 @pytest.fixture(scope="module")
-def kernel() -> Kernel:
+def kernel(request: pytest.FixtureRequest) -> Kernel:
     """Return a kernel with quaternions and sines, without branches in lanes."""
+    request.getfixturevalue("code_of_default_level")
     return build_kernel(pinred.load("falling_cat"), Structure(zero_momentum=False))
 
 

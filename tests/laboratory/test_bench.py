@@ -174,6 +174,7 @@ def test_scaling_fits_power_law() -> None:
         bench_scaling((4, 2))
 
 
+@pytest.mark.usefixtures("code_of_default_level")
 def test_bench_many_reaches_error_or_reports_failure() -> None:
     """Each solver reaches the requested error against ABA, or says that it does not."""
     (result,) = bench_many(["planar1"], members=4, rounds=1, error=1e-6)

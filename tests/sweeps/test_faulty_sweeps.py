@@ -70,7 +70,7 @@ def test_functions_with_rows_of_several_shapes_are_rejected(
     """Rows have one shape, in the parts of a block and in all blocks."""
     from pinred.sweeps.sweep_job import SweepJob
 
-    monkeypatch.setattr(SweepJob, "_together", together)
+    monkeypatch.setattr(SweepJob, "_members_of", lambda *_: together)
     calls: list[int] = []
 
     def grow(many: pinred.Trajectories) -> Any:

@@ -174,7 +174,7 @@ class ConnectionCode:
         name = "column_derivatives"
         code = self._code(name, column_derivative_graph, validate_column_derivatives, wide=True)
         constants = self.form.group.ad(np.eye(r))  # [a, i, b]: entry i of [e_a, e_b]
-        entries = np.argwhere(constants)
+        entries = np.ascontiguousarray(np.argwhere(constants))
         factors, health = sign * constants[tuple(entries.T)], np.empty(len(x))
         for chunk, columns in columns_at(code.address, x, r + 1 + r * m, m):
             _antisymmetrise(columns, entries, factors, exterior[chunk], bracket[chunk])
