@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -109,10 +110,13 @@ def test_first_step_changes_state_by_fraction_of_its_size(lanes: int, count: int
         sizes[1:5] = 0.3 + TURN
     expected = 0.01 / np.sqrt(np.mean((rate[::lanes] / sizes) ** 2))
 
+    function: Any = first_step_by_rate
+    compiled = function.numba_object
+
     def step(rates: Array, **more: float) -> float:
         run = new_run(**(numbers | {"quaternions_at": 1, "quaternion_count": count} | more))
         # Compiled functions take registers of one run only from each other.
-        return float(first_step_by_rate.numba_object(run[0], Y0, rates, lanes, 0.01))
+        return float(compiled(run[0], Y0, rates, lanes, 0.01))
 
     assert step(rate) == pytest.approx(expected, rel=1e-14)
     assert step(rate, max_step=0.5 * expected) == 0.5 * expected
