@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ..planning.gait_file import GaitFile
     from ..scene.event import Event
     from ..scene.scene import Scene
+    from ..scene.stop import BallStop
     from ..scene.toml.schema import Key
     from ..system.system import System
 
@@ -123,8 +124,27 @@ def spring_in(text: str) -> tuple[float, float]:
     return stiffness, rest_length
 
 
-def stop_in(text: str) -> list[float]:
-    """Parse a text LOWER,UPPER or LOWER,UPPER,RESTITUTION.  Raises ValueError."""
+def stop_in(text: str) -> list[float] | BallStop:
+    """Parse LOWER,UPPER or LOWER,UPPER,RESTITUTION, or swing:ANGLE,twist:LOWER:UPPER,… of a ball.
+
+    Args:
+        text: The text.
+    Returns:
+        The numbers, or the stops of the ball.
+    Raises:
+        ValueError: The text has another form.
+        InputError: No ball has such stops.
+    """
+    if ":" in text:
+        from ..scene.stop import BallStop
+
+        values: dict[str, Any] = {}
+        for entry in text.split(","):
+            name, *numbers = entry.split(":")
+            if name in values or len(numbers) != _NUMBERS_OF_BALL.get(name):
+                raise ValueError
+            values[name] = tuple(map(float, numbers)) if len(numbers) > 1 else float(numbers[0])
+        return BallStop(**values)
     numbers = floats_in(text)
     if len(numbers) not in (2, 3):
         raise ValueError
@@ -368,6 +388,11 @@ def _limits_in(text: str, option: str) -> float | list[float] | dict[str, float]
 
 
 _LIMITS = "R, R1,R2,… or J1=R1,…"
+_STOPS = "file, JOINT=LOWER,UPPER[,RESTITUTION], or BALL=swing:ANGLE,twist:LOWER:UPPER,…"
+# Number of values of each field of the stops of balls.
+_NUMBERS_OF_BALL = {
+    "angle": 1, "swing": 1, "twist": 2, "axis": 3, "restitution": 1, "rest_rate": 1,
+}  # fmt: skip
 # Parsers of option values. Each key is the value format with which `command` declares an option.
 _PARSERS: dict[str, Callable[[Any, str], Any]] = {
     "V1,V2,…": numbers_in,
@@ -381,7 +406,7 @@ _PARSERS: dict[str, Callable[[Any, str], Any]] = {
     "file or J=LOWER,UPPER,E": lambda entries, _: (
         entries[0]
         if len(entries) == 1 and "=" not in entries[0]
-        else assigned_in(entries, "stops", stop_in, "file, or JOINT=LOWER,UPPER[,RESTITUTION]")
+        else assigned_in(entries, "stops", stop_in, _STOPS)
     ),
     "J=PLAN": lambda entries, name: assigned_in(
         entries, name, parse_plan, "JOINT=NUMBER, JOINT=FORMULA, or BALL=W1,W2,W3[@C1,C2,C3]"

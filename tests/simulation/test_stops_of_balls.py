@@ -14,6 +14,7 @@ from hybrid_reference import HybridReference, stops_of
 from trees import random_model
 
 import pinred
+from pinred.cli.command_options import stop_in
 from pinred.common.arrays import Array
 from pinred.common.errors import IntegrationError
 from pinred.forces import ComputedTorque, Torque
@@ -451,6 +452,30 @@ def test_stops_of_file_bound_the_angles_of_balls(tmp_path: Path, bounded: bool) 
     angles = 2.0 * np.arctan2(np.linalg.norm(traj.x[:, :3], axis=1), np.abs(traj.x[:, 3]))
     assert (angles.max() < 0.5 + 1e-12) == bounded
     assert angles.max() > 0.5 - 1e-6
+
+
+@pytest.mark.parametrize(
+    ("text", "stop"),
+    [
+        ("swing:0.5", pinred.BallStop(swing=0.5)),
+        (
+            "angle:1,twist:-0.4:0.3,axis:1:0:0,restitution:0.6,rest_rate:1e-5",
+            pinred.BallStop(
+                angle=1.0, twist=(-0.4, 0.3), axis=(1, 0, 0), restitution=0.6, rest_rate=1e-5
+            ),
+        ),
+    ],
+)
+def test_command_line_states_the_fields_of_ball_stops(text: str, stop: pinred.BallStop) -> None:
+    """Names and numbers are separated by colons."""
+    assert stop_in(text) == stop
+
+
+@pytest.mark.parametrize("text", ["swing:", "twist:0.4", "swing:1:2", "tilt:1", "swing:1,swing:2"])
+def test_other_texts_of_ball_stops_are_refused(text: str) -> None:
+    """A field is unknown, stated twice, or has another number of values."""
+    with pytest.raises(ValueError, match=r"^$|float"):
+        stop_in(text)
 
 
 @pytest.mark.by_hand
