@@ -62,6 +62,8 @@ def assigned_in(
             raise InputError(f"--{option} has {noun}{quoted(name)} twice")
         try:
             values[name] = read(text if name else "")
+        except InputError as error:
+            raise InputError(f"--{option} {quoted(name)}: {error}") from None
         except ValueError:
             raise InputError(f"--{option} takes {usage}, got {quoted(entry)}") from None
     return values
@@ -140,10 +142,10 @@ def stop_in(text: str) -> list[float] | BallStop:
 
         values: dict[str, Any] = {}
         for entry in text.split(","):
-            name, *numbers = entry.split(":")
-            if name in values or len(numbers) != _NUMBERS_OF_BALL.get(name):
+            name, *texts = entry.split(":")
+            if name in values or len(texts) != _NUMBERS_OF_BALL.get(name):
                 raise ValueError
-            values[name] = tuple(map(float, numbers)) if len(numbers) > 1 else float(numbers[0])
+            values[name] = tuple(map(float, texts)) if len(texts) > 1 else float(texts[0])
         return BallStop(**values)
     numbers = floats_in(text)
     if len(numbers) not in (2, 3):
