@@ -569,7 +569,7 @@ class _Run:
         flow = new.start.resumed(state.t, x, pi, state.flow, state.y)
         impact = None
         if impulse.any():
-            lost = -0.5 * impulse * (contact.u + after)
+            lost = -0.5 * impulse * (contact.u + after) + 0.0  # never −0
             work = self._work_of_drives(state, x, rates, float(lost.sum()))
             impact = _impact(state.t, contact, impulse, after, lost, work)
         self._count(impact, state.t)
