@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -138,12 +139,16 @@ def stop_in(text: str) -> list[float] | BallStop:
         InputError: No ball has such stops.
     """
     if ":" in text:
+        import numpy as np
+
         from ..scene.stop import BallStop
 
+        defaults: dict[str, Any] = {field.name: field.default for field in fields(BallStop)}
+        counts = {name: np.size(default) for name, default in defaults.items()}
         values: dict[str, Any] = {}
         for entry in text.split(","):
             name, *texts = entry.split(":")
-            if name in values or len(texts) != _NUMBERS_OF_BALL.get(name):
+            if name in values or len(texts) != counts.get(name):
                 raise ValueError
             values[name] = tuple(map(float, texts)) if len(texts) > 1 else float(texts[0])
         return BallStop(**values)
@@ -391,10 +396,6 @@ def _limits_in(text: str, option: str) -> float | list[float] | dict[str, float]
 
 _LIMITS = "R, R1,R2,… or J1=R1,…"
 _STOPS = "file, JOINT=LOWER,UPPER[,RESTITUTION], or BALL=swing:ANGLE,twist:LOWER:UPPER,…"
-# Number of values of each field of the stops of balls.
-_NUMBERS_OF_BALL = {
-    "angle": 1, "swing": 1, "twist": 2, "axis": 3, "restitution": 1, "rest_rate": 1,
-}  # fmt: skip
 # Parsers of option values. Each key is the value format with which `command` declares an option.
 _PARSERS: dict[str, Callable[[Any, str], Any]] = {
     "V1,V2,…": numbers_in,

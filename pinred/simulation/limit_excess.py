@@ -140,6 +140,11 @@ def excess_notice(plan: Plan, motion: Motion, states: ShapeState | State) -> str
         efforts = _efforts(plan, motion, few)
     if not _any_beyond(bounds, states, efforts):
         return ""
+    if not (efforts or bounds.of_followers):
+        # Without efforts and followers, the entries beyond bounds decide which limits are named.
+        columns = _columns_beyond(bounds, states)
+        if not is_first(nominal(system), (_Bounds, columns)):
+            return ""
     uses = LimitTable(tuple(_uses(system, states, few, efforts))).exceeded
     names = frozenset((use.limit.joint, use.limit.kind) for use in uses)
     if not names or not is_first(nominal(system), (LimitUse, names)):
@@ -199,6 +204,17 @@ def _any_beyond(bounds: _Bounds, states: ShapeState | State, efforts: Mapping[st
             for name in efforts.keys() & bounds.efforts.keys()
         )
     )
+
+
+def _columns_beyond(bounds: _Bounds, states: ShapeState | State) -> bytes:
+    """Return which entries of x and ẋ exceed their bounds by more than round-off, as bytes."""
+    pairs = (states.x, bounds.x), (states.xdot, bounds.xdot)
+    masks = []
+    for values, (low, high) in pairs:
+        allowed = [_ROUND_OFF * np.maximum(np.abs(bound), 1e-3) for bound in (low, high)]
+        beyond = (low - values > allowed[0]) | (values - high > allowed[1])
+        masks.append(beyond.any(axis=0))
+    return np.concatenate(masks).tobytes()
 
 
 def _uses(

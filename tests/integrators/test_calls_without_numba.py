@@ -34,6 +34,14 @@ for name in sys.argv[1:]:
         continue  # the steps of some methods have no derivatives
     end.vjp({"pose": np.ones(6)})
 pinred.simulate(cat, seed=1, times=times, method="Gauss(0.01, solver='Newton')")
+# Structure constants and columns of impacts need not be contiguous.
+pinred.Connection.mechanical(pinred.load("cartpole")).curvature([0.3])
+pinred.Connection.mechanical(cat).curvature([0.1, 0.2, 0.3])
+stops = {cat.shape_names[0]: (-0.01, 0.01)}
+through = {"x0": [0, 0, 0], "xdot0": [3, -2, 1], "stops": stops, "method": "AdaptiveGauss"}
+pinred.flow(cat, wrt=["xdot0"], duration=0.1, **through).jacobian()
+cart = pinred.load("cartpole", lock=["pole_pivot"])
+pinred.simulate_many(cart, xi0=[[1.0], [2.0]], duration=0.1)
 driven = pinred.simulate(cat, duration=0.1, prescribed={cat.shape_names[0]: "0.1*sin(t)"})
 for traj in (pinred.simulate(cat, seed=1, times=times), driven):
     report = pinred.compare(traj)
