@@ -129,6 +129,15 @@ def test_bench_derivatives_measures_every_ratio(monkeypatch: pytest.MonkeyPatch)
     assert len(names) == len(units) == len(row)
 
 
+@pytest.mark.by_hand
+def test_bench_flow_measures_the_default_robots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bodies of joints that move several links have names that flows accept."""
+    monkeypatch.setattr(flow_timing, "_ROUNDS", 1)
+    monkeypatch.setattr(flow_timing, "_BURST", 1e-6)
+    for result in flow_timing.bench_flow():
+        assert min(result.integration, result.gradient, result.inertias, result.gauss) > 0.0
+
+
 def test_table_aligns_columns() -> None:
     """Units are a second line, NaN is a dash, and numbers have three digits or are whole."""
     rows = (

@@ -66,8 +66,8 @@ def _bench_flow(name: str) -> SimpleNamespace:
     system = load(name, gravity=(0.0, 0.0, 0.0))
     options: Any = {"seed": 1, "duration": _SPAN}
     motion = ["x0", "xdot0", "xi0"]
-    links = [*system.model.names][1:]
-    bodies = [f"{link}.{kind}" for link in links for kind in ("mass", "com")]
+    joints = [*system.model.names][1:]
+    bodies = [f"{joint}.body.{name}" for joint in joints for name in ("mass", "com")]
     by_motion = flow(system, wrt=motion, method="DOP853", rtol=1e-8, **options)
     by_all = flow(system, wrt=[*motion, *bodies], method="DOP853", rtol=1e-8, **options)
     by_gauss = flow(system, wrt=motion, method="AdaptiveGauss", rtol=1e-10, **options)
