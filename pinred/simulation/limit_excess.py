@@ -138,13 +138,12 @@ def excess_notice(plan: Plan, motion: Motion, states: ShapeState | State) -> str
     if forces is not None and bounds.efforts and is_first(forces, LimitTable):
         few = _some(states.t, _QUICK_EFFORTS)
         efforts = _efforts(plan, motion, few)
-    if not _any_beyond(bounds, states, efforts):
+    columns = _columns_beyond(bounds, states)
+    # Without efforts and followers, the entries beyond bounds decide which limits are named.
+    if not (efforts or bounds.of_followers) and (
+        b"\x01" not in columns or not is_first(nominal(system), (_Bounds, columns))
+    ):
         return ""
-    if not (efforts or bounds.of_followers):
-        # Without efforts and followers, the entries beyond bounds decide which limits are named.
-        columns = _columns_beyond(bounds, states)
-        if not is_first(nominal(system), (_Bounds, columns)):
-            return ""
     uses = LimitTable(tuple(_uses(system, states, few, efforts))).exceeded
     names = frozenset((use.limit.joint, use.limit.kind) for use in uses)
     if not names or not is_first(nominal(system), (LimitUse, names)):
@@ -165,16 +164,16 @@ class _Bounds(NamedTuple):
 
     Attributes:
         are_stated: Whether the file states a limit.
-        x: Lowest and highest shapes, (2, nx) [rad | m | 1].
-        xdot: Lowest and highest shape rates, (2, m) [rad/s | m/s].
-        efforts: Largest efforts of joints, {joint: [N·m | N]}.
+        x: Lowest and highest shapes, less and more by round-off, (2, nx) [rad | m | 1].
+        xdot: The same of shape rates, (2, m) [rad/s | m/s].
+        efforts: Whether a limit of an effort is stated.
         of_followers: Whether a follower, which is no entry of the state, has a limit.
     """
 
     are_stated: bool
     x: Array
     xdot: Array
-    efforts: Mapping[str, float]
+    efforts: bool
     of_followers: bool
 
 
@@ -187,34 +186,19 @@ def _bounds_of(system: System) -> _Bounds:
             x[:, joint.x] = [[limit.lower], [limit.upper]]
         elif joint is not None and limit.kind == "rate":
             xdot[:, joint.v] = [[limit.lower], [limit.upper]]
-    efforts = {limit.joint: limit.upper for limit in limits if limit.kind == "effort"}
+    for low, high in (x, xdot):
+        low -= _ROUND_OFF * np.maximum(np.abs(low), 1e-3)
+        high += _ROUND_OFF * np.maximum(np.abs(high), 1e-3)
+    efforts = any(limit.kind == "effort" for limit in limits)
     of_followers = any(limit.joint not in joints for limit in limits)
     return _Bounds(bool(limits), x, xdot, efforts, of_followers)
 
 
-def _any_beyond(bounds: _Bounds, states: ShapeState | State, efforts: Mapping[str, Array]) -> bool:
-    """Return whether a limit is exceeded, or whether followers have limits."""
-    x, xdot, (low, high), (slow, fast) = states.x, states.xdot, bounds.x, bounds.xdot
-    return bool(
-        bounds.of_followers
-        or ((x < low) | (x > high)).any()
-        or ((xdot < slow) | (xdot > fast)).any()
-        or any(
-            np.abs(efforts[name]).max() > bounds.efforts[name]
-            for name in efforts.keys() & bounds.efforts.keys()
-        )
-    )
-
-
 def _columns_beyond(bounds: _Bounds, states: ShapeState | State) -> bytes:
-    """Return which entries of x and ẋ exceed their bounds by more than round-off, as bytes."""
-    pairs = (states.x, bounds.x), (states.xdot, bounds.xdot)
-    masks = []
-    for values, (low, high) in pairs:
-        allowed = [_ROUND_OFF * np.maximum(np.abs(bound), 1e-3) for bound in (low, high)]
-        beyond = (low - values > allowed[0]) | (values - high > allowed[1])
-        masks.append(beyond.any(axis=0))
-    return np.concatenate(masks).tobytes()
+    """Return which entries of x and ẋ exceed their bounds, a byte 0 or 1 for each."""
+    (low, high), (slow, fast) = bounds.x, bounds.xdot
+    x = ((states.x < low) | (states.x > high)).any(axis=0)
+    return x.tobytes() + ((states.xdot < slow) | (states.xdot > fast)).any(axis=0).tobytes()
 
 
 def _uses(
