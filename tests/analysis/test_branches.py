@@ -12,11 +12,10 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 import pinred
-from pinred.analysis.branches import follow as found_by
-from pinred.analysis.branches.curve import Curve, CurvePoint
-from pinred.analysis.equilibria.amended_energy import AmendedEnergy
-from pinred.analysis.equilibria.equilibrium_problem import problem_of
-from pinred.analysis.equilibria.points import Points
+from pinred.analysis.equilibria import branches as found_by
+from pinred.analysis.equilibria.branches import Curve, CurvePoint
+from pinred.analysis.equilibria.equilibrium_problem import Points, problem_of
+from pinred.analysis.equilibria.search import AmendedEnergy
 from pinred.common.arrays import Array
 
 HUB, MASS, LENGTH, G = 0.3, 1.2, 0.7, 9.81
@@ -161,7 +160,7 @@ def test_crossing_is_pitchfork_below_third_derivative_limit(third: float, kind: 
         energy=energy,
         null_vector=lambda _: np.ones(1),
         slope_by_momentum=lambda _: np.zeros(1),
-        ambient=lambda _, v: np.append(v, 0.0),
+        ambient=lambda _, direction: direction,
         local=lambda _, along: along,
     )
     flat = np.zeros(1)

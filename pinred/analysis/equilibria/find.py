@@ -40,21 +40,27 @@ from ...forces.force import Force
 from ...forces.force_model import touched_by
 from ...forces.signals import Signal
 from ...lie.rotations import left_jacobian
-from ...reduction.inertia_split import mass_matrix
+from ...reduction.pointwise_reduction import mass_matrix
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...system.singular_mass_matrix import singular_shapes
 from ...system.system import System, checked_system
 from ..stability.linearised_flow import linearised, of_smooth_momenta
-from ..stability.second_variation import second_variation
-from ..stability.stability_verdict import Stability, assess_stability
-from .amended_energy import AmendedEnergy, Energies
-from .distinct_points import FLAT, DistinctPoints, Orbit
-from .equilibrium_problem import Problem, finite, problem_of
-from .points import Points, embedded, joined, tangents
+from ..stability.stability_verdict import Stability, assess_stability, second_variation
+from .distinct_points import FLAT, DistinctPoints, Orbit, Symmetry
+from .equilibrium_problem import Points, Problem, embedded, finite, joined, problem_of, tangents
 from .relative_equilibrium import Census, Equilibria, RelativeEquilibrium, pose_of
-from .search import critical_points, iterated, minima, polished, residuals, starting_points
-from .shape_symmetries import Symmetry
+from .search import (
+    AmendedEnergy,
+    Energies,
+    critical_points,
+    descent_step,
+    iterated,
+    minima,
+    polished,
+    residuals,
+    starting_points,
+)
 
 _ASIDE = 0.01  # displacement along a flat direction that determines the degree [rad | m]
 _ZERO = 1e-10  # derivative along a flat direction that counts as zero, relative to the energies
@@ -202,7 +208,6 @@ def _chart_gradient(energy: AmendedEnergy, point: Points, step: Array, J: float)
 
 _AWAY = 0.1  # first step of a walk [rad | m]
 _SAME = 1e-9  # largest distance of equal starts
-_FLAT = 1e-9  # smallest curvature used, as a fraction of the largest; smaller ones are replaced
 
 
 def walks_from(
@@ -235,31 +240,19 @@ def walks_from(
 
 
 def walk(
-    energy: AmendedEnergy, starts: Points, wanted: NDArray[np.intp], J: float
+    energy: AmendedEnergy, starts: Points, indices: NDArray[np.intp], J: float
 ) -> tuple[Points, Energies]:
     """Walk to critical points with given numbers of negative curvatures.
 
     Args:
         energy: The amended potential.
         starts: Starting points.
-        wanted: Target number of negative curvatures, (N,).
+        indices: Target number of negative curvatures, (N,).
         J: Momentum.
     Returns:
         The critical points to which walks converged, and their energies.
     """
-    return iterated(energy, starts, J, lambda e, running: _step(e, wanted[running]))
-
-
-def _step(e: Energies, wanted: NDArray[np.intp]) -> Array:
-    """Return the steps that ascend along the `wanted` lowest curvatures, and descend otherwise."""
-    values, vectors = np.linalg.eigh(e.hessian)
-    components = (np.swapaxes(vectors, 1, 2) @ e.gradient[..., None])[..., 0]
-    size = np.abs(values)
-    floor = _FLAT * size.max(axis=1, keepdims=True)
-    components = components / np.maximum(size, np.where(floor > 0.0, floor, 1.0))
-    ascends = np.arange(values.shape[1]) < wanted[:, None]
-    components = np.where(ascends, components, -components)
-    return np.asarray((vectors @ components[..., None])[..., 0])
+    return iterated(energy, starts, J, lambda e, running: descent_step(e, indices[running, None]))
 
 
 MANY_JOINTS = 6  # number of active joints from which fewer starts are the default
