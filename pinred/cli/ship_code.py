@@ -26,7 +26,7 @@ from ..analysis.phases.phase import phase
 from ..analysis.stability.linearised_flow import linearised_flow
 from ..common.errors import InputError
 from ..forces.kinds import Torque
-from ..forces.signals.tabulated import Hold
+from ..forces.signals.signal import Hold
 from ..integrators.methods import DOP853, METHODS, Explicit, Tsit5
 from ..integrators.stepping import shipped_code
 from ..integrators.stepping.argument_types import ArgumentType

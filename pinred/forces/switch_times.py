@@ -27,7 +27,7 @@ from ..common.arrays import Array, read_only
 from ..common.errors import InputError
 from ..system.coordinates import Indices
 from .force_numbers import SpanNumbers, Tables
-from .vector_program import VectorProgram
+from .time_functions import VectorProgram
 
 COMPARISONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
 KINKS = frozenset({

@@ -11,7 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..common.arrays import Array
-from ..forces.force_values import BaseInSpace, ForceInputs
+from ..forces.force_numbers import BaseInSpace, ForceInputs
 from ..reduction.inertia_split import mass_matrix_at
 from ..reduction.potential import acting_gravity, falling, translations
 from ..reduction.tree.body_frames import bodies_of

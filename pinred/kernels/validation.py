@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..common.arrays import Array
 from ..common.errors import InputError, KernelMismatch, ModelError
-from ..forces.force_values import ForceInputs
+from ..forces.force_numbers import ForceInputs
 from ..lie.rotations import conjugate, quaternion_product
 from ..reduction.potential import translations
 from ..reduction.tree.loop_constraints import GAUGE_RATE

@@ -19,7 +19,7 @@ from scipy.integrate import DOP853, DenseOutput, OdeSolution
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
 from ..common.waiting import Progress
-from ..forces.force_values import BaseInSpace, ForceInputs
+from ..forces.force_numbers import BaseInSpace, ForceInputs
 from ..forces.switch_times import time_within
 from ..integrators.methods import DOP853_LEAST
 from ..integrators.run_keeper import RunKeeper

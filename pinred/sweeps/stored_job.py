@@ -24,6 +24,10 @@ _SIGNATURE = 32  # bytes of the HMAC-SHA256 of the sweep and the scene, at the s
 _MOST_BYTES = 2**30  # largest accepted size of the file [bytes]
 # Former modules of stored classes, by which older stores name them.
 _MOVED = {
+    "pinred.forces.ball_control": "pinred.forces.kinds",
+    "pinred.forces.signals.formulas": "pinred.forces.signals.signal",
+    "pinred.forces.signals.tabulated": "pinred.forces.signals.signal",
+    "pinred.forces.wrench": "pinred.forces.kinds",
     "pinred.system.actuator": "pinred.system.robot_file_contents",
     "pinred.system.elementary_joints": "pinred.system.joints",
     "pinred.system.shape_space": "pinred.system.coordinates",

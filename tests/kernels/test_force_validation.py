@@ -11,7 +11,7 @@ from trees import placement, random_model
 
 import pinred
 from pinred.common.object_cache import ObjectCache
-from pinred.forces import ComputedTorque, Wrench, force_model, inverse_dynamics
+from pinred.forces import ComputedTorque, Wrench, force_model, generalized_forces
 from pinred.forces.force_model import ForceModel
 from pinred.forces.force_numbers import RobotSymbols
 from pinred.kernels.build import build_kernel
@@ -70,9 +70,9 @@ def test_validation_detects_wrong_link_wrench(monkeypatch: pytest.MonkeyPatch) -
 
 def test_validation_detects_wrong_inverse_dynamics(monkeypatch: pytest.MonkeyPatch) -> None:
     """Torques with three times the allowed error are rejected."""
-    system, right = tree(), vars(inverse_dynamics)["required_torque"]
+    system, right = tree(), vars(generalized_forces)["required_torque"]
     build_with(system, holding_controller(system))
-    monkeypatch.setattr(inverse_dynamics, "required_torque", lambda *a: right(*a) * FAULT)
+    monkeypatch.setattr(generalized_forces, "required_torque", lambda *a: right(*a) * FAULT)
     with pytest.raises(pinred.KernelMismatch, match="Pinocchio: inverse dynamics is"):
         build_with(system, holding_controller(system))
 

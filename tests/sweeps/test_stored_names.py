@@ -18,15 +18,12 @@ from pinred.sweeps.stored_job import StoredScene
 STORED = {
     "pinred.common.default_marker": "Default",
     "pinred.common.parameter": "Parameter VectorParameter",
-    "pinred.forces.ball_control": "BallLimit BallPD",
     "pinred.forces.controller": "Controller",
     "pinred.forces.force": "Limit",
-    "pinred.forces.kinds": "PotentialEnergy Torque",
+    "pinred.forces.kinds": "BallLimit BallPD PotentialEnergy Torque Wrench",
     "pinred.forces.signals.attitude_signal": "Attitude",
-    "pinred.forces.signals.formulas": "Constant Expression Fourier",
-    "pinred.forces.signals.tabulated": "Hold Linear Spline",
+    "pinred.forces.signals.signal": "Constant Expression Fourier Hold Linear Spline",
     "pinred.forces.tracking": "ComputedTorque PD",
-    "pinred.forces.wrench": "Wrench",
     "pinred.integrators.methods.explicit_methods": "DOP853 RKMK4 Tsit5",
     "pinred.integrators.methods.implicit_methods": "AdaptiveGauss Gauss Radau Variational",
     "pinred.lie.planar_groups": "_R _SE2 _SO2",
@@ -49,6 +46,10 @@ STORED = {
 }
 
 FORMER = {
+    "pinred.forces.ball_control": "BallLimit BallPD",
+    "pinred.forces.signals.formulas": "Constant Expression Fourier",
+    "pinred.forces.signals.tabulated": "Hold Linear Spline",
+    "pinred.forces.wrench": "Wrench",
     "pinred.system.actuator": "Actuator",
     "pinred.system.elementary_joints": "_named",
     "pinred.system.shape_space": "PlacedJoint ShapeSpace",

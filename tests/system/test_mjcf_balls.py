@@ -14,7 +14,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, ModelError
 from pinred.forces.force_model import ForceModel
-from pinred.forces.force_values import ForceInputs
+from pinred.forces.force_numbers import ForceInputs
 from pinred.lie.spatial_groups import SE3
 from pinred.system.ball_forces import BallSpring
 from pinred.system.merge_hinges import LIMITS

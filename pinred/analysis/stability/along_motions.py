@@ -11,7 +11,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, positive
 from ...common.errors import InputError
 from ...common.waiting import Progress, Wait, shown
-from ...forces.force_values import ForceInputs
+from ...forces.force_numbers import ForceInputs
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...simulation.trajectory import Trajectory

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
-from ...forces.signals.tabulated import Spline
+from ...forces.signals.signal import Spline
 from ...judge.compare import compare
 from ...judge.verdict import Report
 from ...simulation.simulate import simulate
