@@ -17,8 +17,8 @@ from ..common.arrays import Array, as_floats, positive
 from ..common.errors import InputError
 from ..common.names import brief
 from ..common.parameter import Parameter
-from ..system.ball_forces import rotation_vector
 from ..system.force_interface import SeenState
+from ..system.passive import rotation_vector
 from ..system.robot_file_contents import Actuator
 from .force import (
     Action,

@@ -19,10 +19,10 @@ from ..common.arrays import as_floats
 from ..common.errors import InputError
 from ..common.names import brief, one_of
 from ..common.parameter import Parameter, values_of
-from ..system.ball_forces import BallSpring as BallSpring
 from ..system.force_interface import Load
 from ..system.force_interface import SeenState as SeenState
 from ..system.joints import attitude_of
+from ..system.passive import BallSpring as BallSpring
 from ..system.passive import Damper as Damper
 from ..system.passive import Friction as Friction
 from ..system.passive import Spring as Spring

@@ -17,7 +17,7 @@ from ..common.arrays import Array
 from ..common.errors import InputError
 from ..common.names import joint_index
 from ..common.parameter import Parameter
-from ..system.ball_forces import rotation_vector
+from ..system.passive import rotation_vector
 from ..system.system import System
 from .force import Limit, Named, PerJoint, Symbols, Terms, limited, of_time, per_joint
 from .signals import Attitude, Signal

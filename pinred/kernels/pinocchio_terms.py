@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..reduction.tree.loop_constraints import GAUGE_RATE
-from ..system.loops.looped_system import loop_jacobian, loop_jacobian_rate
+from ..system.loops.kinematics import loop_jacobian, loop_jacobian_rate
 from ..system.system import System
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from ..reduction.inertia_split import mass_matrix_at
 from ..reduction.potential import acting_gravity, falling, translations
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.free_bodies import Freed, free_numbers, other_placement
+from ..system.loops.kinematics import loop_jacobian
 from ..system.loops.loop_assembly import CLOSED, assemble
-from ..system.loops.looped_system import loop_jacobian
 from ..system.system import in_gravity, moved_masses, radius_of_gyration, with_numbers
 from .pinocchio_terms import with_closed_loops
 

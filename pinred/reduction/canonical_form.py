@@ -22,7 +22,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
-from ..system.loops.looped_system import loop_jacobian, loop_jacobian_rate
+from ..system.loops.kinematics import loop_jacobian, loop_jacobian_rate
 from ..system.system import System
 from .inertia_split import com_derivative, lost_inertia, symmetric, usual_inertias
 from .potential import Potential

@@ -10,8 +10,7 @@ from ..common.errors import InputError
 from ..common.names import listed
 from ..forces.controller import Controller
 from ..forces.force import Force
-from ..system.ball_forces import BallSpring
-from ..system.passive import Damper, Friction, Spring
+from ..system.passive import BallSpring, Damper, Friction, Spring
 from ..system.system import System
 
 if TYPE_CHECKING:

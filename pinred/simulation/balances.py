@@ -29,7 +29,7 @@ from ..reduction.inertia_split import com_derivative, symmetric
 from ..reduction.potential import shape_gravity
 from ..scene.stop import Bound
 from ..system.joints import axes_of
-from ..system.loops.looped_system import loop_jacobian, loop_jacobian_rate
+from ..system.loops.kinematics import loop_jacobian, loop_jacobian_rate
 from ..system.state_fields import State, with_base
 from ..system.system import System
 from .motion import Motion

@@ -13,10 +13,9 @@ from ..common.errors import IntegrationError
 from ..common.names import NamedResults, listed
 from ..reduction.inertia_split import symmetric
 from ..reduction.tree.loop_constraints import jacobian_function
-from ..system.loops.kinematics import rotation_axes
+from ..system.loops.kinematics import loop_kinematics, rotation_axes
 from ..system.loops.loop import Loop
 from ..system.loops.loop_assembly import rate_units, singularity
-from ..system.loops.looped_system import loop_kinematics
 from ..system.state_fields import State
 from ..system.system import System
 from .plan import Plan

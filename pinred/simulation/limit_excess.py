@@ -15,8 +15,7 @@ from ..common.arrays import Array
 from ..common.memo import is_first, once
 from ..common.names import listed
 from ..scene.input_formats import list_forces
-from ..system.robot_file_contents import StatedLimit
-from ..system.stated_limits import limits_of
+from ..system.passive import StatedLimit, limits_of
 from ..system.system import nominal
 
 if TYPE_CHECKING:

@@ -32,7 +32,7 @@ from ..scene.input_formats import list_forces
 from ..scene.scene import Engine, Scene
 from ..scene.stop import Bound, place
 from ..system.coordinates import Indices
-from ..system.loops.looped_system import loop_jacobian
+from ..system.loops.kinematics import loop_jacobian
 from ..system.state_fields import ShapeState, State
 from ..system.system import System
 from .balances import driving_torques

@@ -29,7 +29,9 @@ _MOVED = {
     "pinred.forces.signals.tabulated": "pinred.forces.signals.signal",
     "pinred.forces.wrench": "pinred.forces.kinds",
     "pinred.system.actuator": "pinred.system.robot_file_contents",
+    "pinred.system.ball_forces": "pinred.system.passive",
     "pinred.system.elementary_joints": "pinred.system.joints",
+    "pinred.system.loops.looped_system": "pinred.system.loops.kinematics",
     "pinred.system.shape_space": "pinred.system.coordinates",
     "pinred.system.visuals": "pinred.system.robot_files",
 }

@@ -31,7 +31,6 @@ from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
 from ..lie.spatial_groups import SE3
 from .body_parameters import link_inertias
-from .constant_loops import with_constant_loops
 from .coordinates import InitialState
 from .coupling import ties_of, with_followers
 from .independent_reader import second_reading
@@ -51,6 +50,7 @@ from .locked_joints import (
     lock_values,
     separate_attitudes,
 )
+from .loops.independent_joints import with_constant_loops
 from .loops.kinematics import loop_ends
 from .loops.loop import (
     HEAVY_GROUND,
@@ -64,7 +64,7 @@ from .loops.loop import (
 from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls, unlocked_balls
 from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
-from .passive import Spring, passive_contents
+from .passive import Spring, passive_contents, stated_limits
 from .read_sdf import read_sdf
 from .read_urdf import UrdfRobot, read_urdf
 from .rebuild import rebuild, split_joints, with_joint_types, without_mimics
@@ -86,7 +86,6 @@ from .robot_files import (
     text_in_file,
     with_visuals,
 )
-from .stated_limits import stated_limits
 from .system import System, checked_gravity
 from .urdf_elements import mimic_couplings
 from .urdf_words import left_out_words

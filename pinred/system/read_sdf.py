@@ -27,7 +27,14 @@ from .loops.loop import Loop
 from .passive import Spring
 from .rebuild import PRISMATIC, REVOLUTE, ModelBuilder, joint_along
 from .robot_file_contents import Coupling, LeftOut
-from .sdf_document import JOINT_TYPES, Axis, BallConstraint, JointWords, SdfDocument, read_document
+from .sdf_document import (
+    Axis,
+    BallConstraint,
+    JointWords,
+    SdfDocument,
+    read_document,
+    unread_type,
+)
 from .sdf_words import CONTACT
 
 INSTALL = install_command("sdf")
@@ -551,10 +558,7 @@ class _Tree:
             return pin.JointModelUniversal(*np.eye(3)[:2])
         if type_name == "planar":
             return pin.JointModelPlanar()
-        raise ModelError(
-            f"{self._where(joint)}: joint {quoted(self._name(joint))} is of type {type_name}, "
-            f"which pinred does not read from SDF; use {JOINT_TYPES}"
-        )
+        raise ModelError(f"{self._where(joint)}: {unread_type(self._name(joint), type_name)}")
 
     def _close(self, joint: Any) -> None:
         """Add the loop that a joint closes."""

@@ -34,12 +34,11 @@ from ..common.arrays import Array
 from ..common.errors import LoadError, ModelError
 from ..common.names import listed, nearest, plain, plain_path, quoted
 from .loops.loop import HEAVY_GROUND, Loop, LoopKind
-from .passive import Spring
+from .passive import UNLIMITED, Spring
 from .rebuild import NewJoint, copy_losses, rebuild
 from .robot_file_contents import Coupling, LeftOut
 from .robot_files import library_output, place, read_xml
 from .urdf_elements import (
-    UNLIMITED,
     WORLD,
     check_urdf,
     file_frames,

@@ -37,9 +37,9 @@ from .coordinates import (
 from .coupling import Coupled, coupled, following
 from .force_interface import Force
 from .joints import axes_of
+from .loops.kinematics import Closure
 from .loops.loop import Constraint
 from .loops.loop_assembly import close_loops
-from .loops.looped_system import Closure
 from .rebuild import depth_first
 from .robot_file_contents import Actuator, Contents, Coupling, Keyframe, LeftOut, Origin
 

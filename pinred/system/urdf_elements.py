@@ -17,13 +17,12 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import ModelError
 from ..common.names import listed, nearest, quoted
-from .passive import Spring
+from .passive import UNLIMITED, Spring
 from .rebuild import NewJoint
 from .robot_file_contents import Coupling, LeftOut
 from .robot_files import FileElement, place
 from .urdf_words import SPRINGS, version_of
 
-UNLIMITED = 1.7e308  # position limit that represents infinity, because the parser cannot read "inf"
 _DIGITS = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
 _NUMBER = re.compile(_DIGITS, re.ASCII)
 _WITH_COMMAS = re.compile(rf"\s*{_DIGITS}(\s*,\s*{_DIGITS})+\s*", re.ASCII)

@@ -42,7 +42,7 @@ from pinred.reduction.tree.free_bodies import free_numbers
 from pinred.reduction.tree.loop_constraints import GAUGE_RATE
 from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
-from pinred.system.loops.looped_system import loop_jacobian
+from pinred.system.loops.kinematics import loop_jacobian
 
 MODULES = (
     validation, derived_code, differentiable, flow_functions, closing_code, initial_conditions,

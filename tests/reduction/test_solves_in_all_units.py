@@ -24,7 +24,7 @@ from pinred.forces.generalized_forces import loop_motion
 from pinred.kernels.connection.connection_form import velocity_graph
 from pinred.kernels.reference_state import length_of, steps_of
 from pinred.reduction.inertia_split import mass_matrix
-from pinred.system.loops.looped_system import loop_jacobian
+from pinred.system.loops.kinematics import loop_jacobian
 from pinred.system.system import System
 
 UNITS = [Units(1e-3, 1e-3), Units(1e3, 1e-3), Units(1.0, 1e3)]

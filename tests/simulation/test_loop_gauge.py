@@ -17,7 +17,7 @@ from pinred.reduction.inertia_split import mass_matrix
 from pinred.reduction.tree import loop_constraints
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
-from pinred.system.loops.looped_system import loop_jacobian, loop_values
+from pinred.system.loops.kinematics import loop_jacobian, loop_values
 
 # Centrifugal forces load the loop steadily as the crank turns.
 START: dict[str, Any] = {

@@ -12,8 +12,8 @@ from loop_robots import FOUR_BAR, four_bar
 import pinred
 from pinred.common.errors import InputError
 from pinred.judge.full_system import loop_errors
-from pinred.system.constant_loops import with_constant_loops
 from pinred.system.coordinates import InitialState
+from pinred.system.loops.independent_joints import with_constant_loops
 from pinred.system.loops.loop import Loop
 from pinred.system.robot_file_contents import Contents
 from pinred.system.system import System

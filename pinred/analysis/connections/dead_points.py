@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import SingularInertiaError
-from ...system.loops.loop_chart import LoopChart
+from ...system.loops.independent_joints import LoopChart
 from ..gaits.arcs import TAU
 from ..gaits.gait import Gait
 from .connection import Connection

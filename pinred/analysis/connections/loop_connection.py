@@ -7,7 +7,7 @@ A G, Gᵀ M G and Gᵀ B G, without further terms.  Derivatives ∂_c are taken 
 Many closed shapes are computed at once, with the maps to all joint rates.  The loops are evaluated
 by CasADi for all shapes together.  Shapes are followed along straight lines from a grid of shapes;
 where such a line passes a singular shape, they are followed one by one (see
-system/loops/loop_chart.py).
+system/loops/independent_joints.py).
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from ...reduction.pointwise_reduction import PointwiseReduction, ReducedShape
 from ...reduction.potential import Springs
 from ...reduction.tree.body_frames import bodies_of
 from ...reduction.tree.loop_constraints import constraint_values, jacobian_function, rate_map
+from ...system.loops.independent_joints import LoopChart, loop_chart
 from ...system.loops.loop_assembly import CLOSED, describe_gap, loop_gaps, rate_units
-from ...system.loops.loop_chart import LoopChart, loop_chart
 from ...system.system import System, checked_system
 
 _STEP = 0.1  # longest step along a line [rad | fraction of the loops' length]

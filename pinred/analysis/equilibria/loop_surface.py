@@ -23,8 +23,8 @@ from ...common.arrays import Array
 from ...reduction.tree.body_frames import bodies_of
 from ...reduction.tree.loop_constraints import constraint_values
 from ...system.coordinates import ShapeSpace
+from ...system.loops.kinematics import loop_kinematics
 from ...system.loops.loop_assembly import CLOSED, loop_gaps, rate_units
-from ...system.loops.looped_system import loop_kinematics
 from ...system.system import System
 
 

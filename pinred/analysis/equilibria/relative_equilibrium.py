@@ -18,8 +18,8 @@ from ...common.errors import InputError
 from ...lie.rotations import quaternion_exp
 from ...reduction.inertia_split import mass_matrix
 from ...scene.scene import Scene
+from ...system.loops.kinematics import loop_jacobian
 from ...system.loops.loop_assembly import assemble
-from ...system.loops.looped_system import loop_jacobian
 from ...system.system import System
 from ..stability.stability_verdict import Mode, Stability, Verdict
 from .equilibrium_problem import Problem

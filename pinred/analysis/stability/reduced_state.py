@@ -31,7 +31,7 @@ from ...reduction.inertia_split import mass_matrix, usual_inertias
 from ...reduction.tree.loop_constraints import GAUGE_RATE
 from ...simulation.reduced_flow import Sample
 from ...system.joints import BALL
-from ...system.loops.looped_system import loop_jacobian, loop_jacobian_rate
+from ...system.loops.kinematics import loop_jacobian, loop_jacobian_rate
 from ...system.system import System
 
 

@@ -26,7 +26,7 @@ from ...lie.rotations import (
     unit,
 )
 from ...reduction.pointwise_reduction import PointwiseReduction
-from ...system.stated_limits import joint_limits
+from ...system.passive import joint_limits
 from ...system.system import System
 from ..optimisation.limits import Limits
 from ..optimisation.objective import TargetAim

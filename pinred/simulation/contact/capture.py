@@ -39,7 +39,7 @@ from ...system.derived_systems import (
     same_motions,
 )
 from ...system.joints import axes_of
-from ...system.loops.looped_system import loop_jacobian
+from ...system.loops.kinematics import loop_jacobian
 from ...system.system import System, checked_system
 from ..over_time import OverTime
 from ..trajectory import Trajectory

@@ -17,15 +17,16 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.errors import InputError, ModelError
 from ...common.names import quoted
-from .kinematics import law_of, loop_ends
-from .loop import HEAVY_GROUND, Constraint, Loop
-from .looped_system import (
+from .kinematics import (
     Closure,
     LoopedSystem,
     configuration,
+    law_of,
+    loop_ends,
     loop_jacobian,
     loop_kinematics,
 )
+from .loop import HEAVY_GROUND, Constraint, Loop
 
 CLOSED = 1e-10  # largest gap of a closed loop, relative to its length [1 | rad]
 NEARBY = 0.3  # displacement to a nearby closed shape [rad, or fraction of the loop's length]

@@ -16,11 +16,10 @@ from ...lie.group import Group
 from ..locked_joints import LockedJoints, LockValue, separate_attitudes
 from ..merge_hinges import Merge, coupled_joints, locked_hinges, merge_of, unlocked_balls
 from ..robot_file_contents import Actuator, Contents, Coupling, Keyframe
-from .actuators import actuators_of
 from .compile import compiled, mujoco_package
 from .equality_constraints import constraints_of, held_joints, locked_with_followers
-from .mujoco_forces import left_out_actions, moving_tendons, passive_forces
-from .rotors import ignored_rotors
+from .mujoco_forces import actuators_of, left_out_actions, moving_tendons, passive_forces
+from .root import ignored_rotors
 from .tree import Tree, tree_of
 from .world import World, robot_in
 

@@ -3,25 +3,31 @@
 MuJoCo has no planar joint: a file moves a body in a plane with three joints, which become SE(2).
 With an additional slide normal to the plane they become ℝ × SE(2).  Three slides with a ball, or
 with three hinges, become SE(3).  In all other cases the first joint alone is the root.
+
+Rotors of these joints (armature) become an equivalent inertia on the base.  Pinocchio adds
+armature to the diagonal of the mass matrix, which is wrong for several joints at a root.  Rotors
+with equal armature in all directions act like a mass, or a moment of inertia, on the base.  This
+equivalence is exact if gravity does not act on the mass.  Other rotors break the symmetry.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 import pinocchio as pin
 
 from ...common.arrays import Array
+from ...common.errors import ModelError
 from ...lie.group import Group
 from ...lie.planar_groups import SE2
 from ...lie.r_se2 import RxSE2
 from ..joints import root_joint
-from . import rotors
-from .mujoco_joints import Joint, frame, quaternion, wxyz
+from .world import Joint, frame, quaternion, wxyz
 
-_EXACT = 1e-12  # sines, cosines and lengths [m] below this value count as zero
+_EXACT = 1e-12  # sines, cosines, relative sizes and lengths [m] below this value count as zero
 # Displacements from the reference configuration at which planar joints are tested [rad | m].
 _GENERIC = (0.7, -0.4, 1.1, 0.2)
 
@@ -91,7 +97,7 @@ def _single(joint: Joint, gravity: Array) -> RootMotion:
         model=joint.model(),
         before=joint.at_point * joint.displaced(-joint.q0),
         behind=joint.at_point.inverse(),
-        rotors=rotors.of_slides([joint], gravity) if slides else pin.Inertia.Zero(),
+        rotors=rotors_of_slides([joint], gravity) if slides else pin.Inertia.Zero(),
         armature=None if slides else joint.armature,
         pose=lambda qpos: qpos[joint.q_at : joint.q_at + 1].copy(),
         twist=lambda _, qvel: qvel[joint.v_at : joint.v_at + 1].copy(),
@@ -105,7 +111,7 @@ def _ball(joint: Joint) -> RootMotion:
         model=pin.JointModelSpherical(),
         before=joint.at_point,
         behind=joint.at_point.inverse(),
-        rotors=rotors.of_ball(joint),
+        rotors=rotors_of_ball(joint),
         pose=lambda qpos: quaternion(qpos[joint.q_at :]),
         twist=lambda _, qvel: qvel[joint.v_at : joint.v_at + 3].copy(),
     )
@@ -150,7 +156,7 @@ def _slides_and_ball(joints: Sequence[Joint], gravity: Array) -> RootMotion:
         model=pin.JointModelFreeFlyer(),
         before=ball.at_point,
         behind=ball.at_point.inverse(),
-        rotors=rotors.of_slides(slides, gravity) + rotors.of_ball(ball),
+        rotors=rotors_of_slides(slides, gravity) + rotors_of_ball(ball),
         pose=pose,
         twist=twist,
     )
@@ -177,7 +183,7 @@ def _spatial(joints: Sequence[Joint], gravity: Array) -> RootMotion:
     """Return the six-dimensional motion of three slides and three hinges, in any order."""
     first_hinge = next(joint for joint in joints if joint.kind == "hinge")
     slides = [joint for joint in joints if joint.kind == "slide"]
-    weight = rotors.of_slides(slides, gravity)
+    weight = rotors_of_slides(slides, gravity)
 
     def pose(at: pin.SE3, _: Array) -> Array:
         return np.asarray(pin.SE3ToXYZQUAT(at))
@@ -205,7 +211,7 @@ def _planar(joints: Sequence[Joint], plane: _Plane, gravity: Array) -> RootMotio
         return np.append(at.translation[axes[:-1]], sum(angles))
 
     model = root_joint(plane.group)
-    return _combined(joints, W, model, axes, rotors.of_plane(joints, gravity), pose)
+    return _combined(joints, W, model, axes, rotors_of_plane(joints, gravity), pose)
 
 
 def _combined(
@@ -306,3 +312,82 @@ def _rank(vectors: Sequence[Array]) -> int:
 
 def _rotation(values: Array) -> Array:
     return np.asarray(frame(np.zeros(3), wxyz(values)).rotation)
+
+
+def rotors_of_slides(slides: Sequence[Joint], gravity: Array) -> pin.Inertia:
+    """Return the rotor inertia of slides before all other joints, at the joints' origin.
+
+    gravity: (3,) [m/s²], in the frame of the slides' axes.  Raises ModelError.
+    """
+    rotors = _rotors(slides)
+    if not rotors.any():
+        return pin.Inertia.Zero()
+    axes = np.array([joint.axis for joint in slides])
+    at_right_angles = np.abs(axes @ axes.T - np.eye(len(axes))).max() <= _EXACT
+    if np.ptp(rotors) != 0.0 or not at_right_angles:
+        _refuse(slides, "it must be the same in directions that are at right angles")
+    _refuse_falling(slides, gravity, axes)
+    return _mass(rotors[0])
+
+
+def rotors_of_ball(joint: Joint) -> pin.Inertia:
+    """Return the rotor inertia of a ball.
+
+    It must be the same in all directions, so that it causes no gyroscopic moment.
+    """
+    if np.ptp(joint.armature) != 0.0:
+        _refuse([joint], "it must be the same in all directions")
+    return pin.Inertia(0.0, np.zeros(3), joint.armature[0] * np.eye(3))
+
+
+def ignored_rotors(joints: Sequence[Joint]) -> tuple[str, ...]:
+    """Return a warning for each free joint with armature.
+
+    No motor drives a free joint, so such armature is ignored.  Files usually inherit it from the
+    <default> of their other joints.
+    """
+    return tuple(
+        f"free joint '{joint.name}' has armature {joint.armature.max():g}, which is ignored; add "
+        "it to the inertia of the body to keep it"
+        for joint in joints
+        if joint.kind == "free" and joint.armature.any()
+    )
+
+
+def rotors_of_plane(joints: Sequence[Joint], gravity: Array) -> pin.Inertia:
+    """Return the rotor inertia of planar slides and hinges, in axes with z normal to the plane.
+
+    gravity: (3,) [m/s²], in the frame of the joints' axes.  Raises ModelError.
+    """
+    slides = [joint for joint in joints if joint.kind == "slide"]
+    hinges = [joint for joint in joints if joint.kind == "hinge"]
+    if len(hinges) > 1 and _rotors(hinges).any():
+        _refuse(hinges, "two hinges turn the body together, and their rotors equal no inertia")
+    ahead = list(joints[: len(slides)]) == slides and len(hinges) == 1
+    if _rotors(slides).any() and not ahead:
+        _refuse(slides, "a hinge ahead of them, or no second slide, breaks the symmetry")
+    angular = np.diag([0.0, 0.0, hinges[0].armature[0]])
+    return rotors_of_slides(slides, gravity) + pin.Inertia(0.0, np.zeros(3), angular)
+
+
+def _mass(mass: float) -> pin.Inertia:
+    return pin.Inertia(float(mass), np.zeros(3), np.zeros((3, 3)))
+
+
+def _rotors(joints: Sequence[Joint]) -> Array:
+    return np.concatenate([np.empty(0), *(joint.armature for joint in joints)])
+
+
+def _refuse_falling(joints: Sequence[Joint], gravity: Array, axes: Array) -> None:
+    """Reject armature if gravity acts along the axes, because armature has no weight."""
+    if np.abs(axes @ gravity).max() > _EXACT * np.linalg.norm(gravity):
+        _refuse(joints, "gravity acts along them, but armature has no weight")
+
+
+def _refuse(joints: Sequence[Joint], why: str) -> NoReturn:
+    names = ", ".join(f"joint '{joint.name}'" for joint in joints)
+    values = ", ".join(f"{value:g}" for value in _rotors(joints))
+    raise ModelError(
+        f"the base has {names} with armature {values}: {why}; set it to zero, or add it to the "
+        "inertia of the body"
+    )

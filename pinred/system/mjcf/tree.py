@@ -11,11 +11,10 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.names import listed, quoted
+from ..passive import limits_of_angle
 from ..rebuild import ModelBuilder
-from ..stated_limits import limits_of_angle
-from .mujoco_joints import Joint, frame, joint_of
 from .root import RootMotion, root_motion
-from .world import World
+from .world import Joint, World, frame, joint_of
 
 # Values of mjtSameFrame for which MuJoCo replaces the position (_SAME_PLACE) or the rotation
 # (_SAME_TURN) of a body's inertial frame by those of the body frame, because they nearly agree.

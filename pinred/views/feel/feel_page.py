@@ -43,11 +43,10 @@ from ...reduction.symbolic_placements import (
 )
 from ...reduction.tree.momenta import bracket
 from ...system.joints import axes_of
-from ...system.loops.kinematics import JointLaw, loop_ends, rotation_axes
+from ...system.loops.independent_joints import LoopChart
+from ...system.loops.kinematics import JointLaw, loop_ends, loop_kinematics, rotation_axes
 from ...system.loops.loop import BallSurface, Constraint, JointPolynomial
 from ...system.loops.loop_assembly import rate_units
-from ...system.loops.loop_chart import LoopChart
-from ...system.loops.looped_system import loop_kinematics
 from ...system.system import System
 from ..playback.drawn_bodies import Bodies, drawn_bodies
 from ..playback.framing import frame
