@@ -164,9 +164,9 @@ class ForceExpressions:
         for load in terms.loads:
             from .generalized_forces import of_load  # its imports are slow
 
-            on_coordinates = of_load(system, self._robot, s, load, force.label)
-            torque, wrench = torque + on_coordinates.torque, wrench + on_coordinates.wrench
-            self.acted |= {k for k in range(system.m) if not on_coordinates.torque[k].is_zero()}
+            load_torque, load_wrench = of_load(system, self._robot, s, load, force.label)
+            torque, wrench = torque + load_torque, wrench + load_wrench
+            self.acted |= {k for k in range(system.m) if not load_torque[k].is_zero()}
         self.loads += terms.loads
         self.torques = ca.horzcat(self.torques, torque)
         self.wrenches = ca.horzcat(self.wrenches, wrench)

@@ -15,7 +15,6 @@ Inverse dynamics computes the torques for given accelerations, also with closed 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import casadi as ca
@@ -49,22 +48,9 @@ from .force import Symbols
 from .force_numbers import RobotSymbols
 
 
-@dataclass(frozen=True)
-class OnCoordinates:
-    """A load expressed in the coordinates: torques on the shape and a wrench on the base.
-
-    Attributes:
-        torque: Torques on the shape, (m,).
-        wrench: Wrench on the base, (r,).
-    """
-
-    torque: ca.SX
-    wrench: ca.SX
-
-
 def of_load(
     system: System, robot: RobotSymbols, s: Symbols, load: Load, what: str
-) -> OnCoordinates:
+) -> tuple[ca.SX, ca.SX]:
     """Express a load by torques and a wrench on the base.
 
     Args:
@@ -74,11 +60,11 @@ def of_load(
         load: Wrench on a link, or along fixed axes.
         what: Name of the force in messages.
     Returns:
-        Torques and wrench.
+        Torques on the shape, (m,), and wrench on the base, (r,).
     """
     if load.link is None:
         column = ca.vertcat(*_base_wrench(system, s, load.entries))
-        return OnCoordinates(ca.SX(system.m, 1), ca.SX(column))
+        return ca.SX(system.m, 1), ca.SX(column)
     index = link_frame(system, load.link, what)
     r, m = system.r, system.m
     xi, xdot = ca.SX.sym("xi", r), ca.SX.sym("xdot", m)
@@ -105,7 +91,7 @@ def of_load(
         force, moment = ([dot(axis, vector) for axis in turn] for vector in (force, moment))
     power = ca.SX(add(dot(force, v), dot(moment, w)))
     torque, wrench = (ca.SX(ca.gradient(power, v)) if v.numel() else v for v in (xdot, xi))
-    return OnCoordinates(torque, wrench)
+    return torque, wrench
 
 
 def _base_wrench(system: System, s: Symbols, entries: list[Scalar]) -> list[Scalar]:

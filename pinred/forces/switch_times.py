@@ -521,10 +521,8 @@ class SwitchTimes:
         first = tables.size if tables.signals else 0
         self.used = [k for k in used if k >= first]
         self._of_tables = [k for k in used if k < first]
-        used_numbers, segments = (
-            [numbers[k] for k in self.used],
-            [numbers[k] for k in self._of_tables],
-        )
+        used_numbers = [numbers[k] for k in self.used]
+        segments = [numbers[k] for k in self._of_tables]
         self._states = VectorProgram([within, *segments, *used_numbers], [s.value for s in states])
         self._symbols, self._time, self._numbers = [s.state for s in states], t, used_numbers
         # Tables within an argument select their segment by `within`, too.

@@ -276,10 +276,7 @@ class TimeFunctions:
         Returns:
             The values, (count, …).
         """
-        first, last = within.start, within.stop
-        inputs: list[Any] = [
-            spans[k - first] if first <= k < last else numbers[k] for k in self.used
-        ]
+        inputs = self._inputs(numbers, within, spans)
         values = np.empty((self.count, *times.shape))
         for row, value in zip(values, self._program(times, *inputs), strict=True):
             row[:] = value
@@ -297,15 +294,17 @@ class TimeFunctions:
             within: Slice of the numbers that change from span to span.
             spans: Values of these numbers in each interval of time, (w, P).
         """
-        first, last = within.start, within.stop
-        inputs: list[Any] = [
-            spans[k - first] if first <= k < last else numbers[k] for k in self.used
-        ]
+        inputs = self._inputs(numbers, within, spans)
         bounds = self._program.bounds([(starts, ends), *((value, value) for value in inputs)])
         widths = np.empty((self.count, len(starts)))
         for row, (low, high) in zip(widths, bounds, strict=True):
             row[:] = np.subtract(high, low)
         return np.where(np.isnan(widths), np.inf, widths)
+
+    def _inputs(self, numbers: Array, within: slice, spans: Array) -> list[Any]:
+        """Return the numbers that the functions use, those of spans from `spans`."""
+        first, last = within.start, within.stop
+        return [spans[k - first] if first <= k < last else numbers[k] for k in self.used]
 
 
 def _depends(expressions: Sequence[ca.SX], p: ca.SX) -> Sequence[bool]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -25,6 +25,7 @@ from ..common.names import listed, nearest, plain_path, quoted
 from ..common.optional_packages import install_command, optional_package
 from .loops.loop import Loop
 from .passive import Spring
+from .read_urdf import FileRobot
 from .rebuild import PRISMATIC, REVOLUTE, ModelBuilder, joint_along
 from .robot_file_contents import Coupling, LeftOut
 from .sdf_document import (
@@ -51,39 +52,21 @@ Key: TypeAlias = tuple[str, str]  # name of a model and of a link or joint in it
 
 
 @dataclass(frozen=True, eq=False)
-class SdfRobot:
+class SdfRobot(FileRobot):
     """A robot in an SDF file.
 
     Attributes:
-        model: Model with the root joint of the file; without one, its first body is fixed.
-        springs: Springs at joints.
-        warning: Warning about parts of the file that are not read as written, or "".
-        couplings: Couplings of its joints.
-        loops: Loops that joints with a second parent link, and points that coincide, close.
-        left_out: Actions in the file that are not simulated.
         joints: Model and name in the file of each joint.
         links: Model and name in the file of each link.
         base: Name of the link that carries the others; "" if the world carries several.
-        fixed: Names of the links that the file fixes to the world.
-        inertias: Inertia of each link with mass, in its own frame.
-        lines: Lines of the joints that close loops, such as " (line 7)", by name.
         added: Moment that the copy for Drake has in addition, and trace of the moments without
             it [kg m²], by model and name of the link.
     """
 
-    model: pin.Model
-    springs: tuple[Spring, ...]
-    warning: str
-    couplings: tuple[Coupling, ...]
-    loops: tuple[Loop, ...]
-    left_out: tuple[LeftOut, ...]
-    joints: Mapping[str, Key]
-    links: Mapping[str, Key]
-    base: str
-    fixed: tuple[str, ...]
-    inertias: Mapping[str, pin.Inertia]
-    lines: Mapping[str, str]
-    added: Mapping[Key, tuple[float, float]]
+    joints: Mapping[str, Key] = field(default_factory=dict)
+    links: Mapping[str, Key] = field(default_factory=dict)
+    base: str = ""
+    added: Mapping[Key, tuple[float, float]] = field(default_factory=dict)
 
 
 def read_sdf(path: Path, folders: Sequence[str] = (), root: str | None = None) -> SdfRobot:
@@ -459,10 +442,8 @@ class _Tree:
         """Add a body at a placement on a joint."""
         model = self._builder.model
         added, trace = self._assembly.document.added.get(self._assembly.link(body), (0.0, None))
-        name, inertia = (
-            self._link(body),
-            _inertia(self._plant.get_body(_index("Body", body)), added),
-        )
+        name = self._link(body)
+        inertia = _inertia(self._plant.get_body(_index("Body", body)), added)
         moments, arm = np.trace(inertia.inertia), np.sum(inertia.lever**2)
         size = abs(moments) + inertia.mass * arm + added
         if trace is not None and abs(moments - trace) > _SAME_MOMENTS * size:

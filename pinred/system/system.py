@@ -105,16 +105,16 @@ class System:
         couplings = coupled(tree, self.couplings, model.names[1])
         derivation = None if self.origin is None else self.origin.derivation
         known = None if derivation is None else derivation.doubts
-        admission = admit(model, couplings, known)
+        group, doubts = admit(model, couplings, known)
         vars(self).update(
             sorted_model=model,
-            group=admission.group,
+            group=group,
             space=tree if couplings is None else couplings.space,
             coupled=couplings,
-            doubts=admission.doubts,
+            doubts=doubts,
             tree=tree,
             _order=joint_order,
-            _map=coordinate_map(model, admission.group, tree),
+            _map=coordinate_map(model, group, tree),
         )
         if self.loops:
             vars(self)["closure"] = close_loops(self)

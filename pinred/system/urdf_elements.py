@@ -265,6 +265,7 @@ def special_joints(robot: Element) -> dict[str, NewJoint]:
     identity = pin.SE3.Identity()
     for joint in moving_joints(robot):
         name, kind = joint.get("name", "?"), joint.get("type")
+        axis = joint.find("axis")
         if kind == "spherical":
             joints[name] = NewJoint(name, pin.JointModelSpherical(), identity)
         elif kind == "universal":
@@ -276,9 +277,11 @@ def special_joints(robot: Element) -> dict[str, NewJoint]:
                     f"{owner}{place(joint)} has no <drake:screw_thread_pitch value=…/>; add it"
                 )
             (pitch,) = floats(element, "value", f"the pitch of {owner}", 1)
-            screw = pin.JointModelHelicalUnaligned(_unit_axis(joint), float(pitch) / (2.0 * np.pi))
+            screw = pin.JointModelHelicalUnaligned(
+                axis_of(axis, name), float(pitch) / (2.0 * np.pi)
+            )
             joints[name] = NewJoint(name, screw, identity)
-        elif kind == "planar" and (turn := rotation_to(_unit_axis(joint))) is not None:
+        elif kind == "planar" and (turn := rotation_to(axis_of(axis, name))) is not None:
             joints[name] = NewJoint(
                 name, pin.JointModelPlanar(), pin.SE3(turn, np.zeros(3)),
                 body=pin.SE3(turn.T, np.zeros(3)),
@@ -295,13 +298,18 @@ def rotation_to(axis: Array) -> Array | None:
     return np.asarray(pin.Quaternion.FromTwoVectors(np.eye(3)[2], axis).matrix())
 
 
-def _unit_axis(joint: Element) -> Array:
-    """Return the axis of a joint, (3,); x by default, as in URDF."""
-    axis = joint.find("axis")
-    if axis is None:
+def axis_of(element: Element | None, joint: str) -> Array:
+    """Return the unit axis of a joint, (3,); x by default, as in URDF.  Raises ModelError."""
+    if element is None:
         return np.array([1.0, 0.0, 0.0])
-    values = floats(axis, "xyz", f"the axis of joint {quoted(joint.get('name', '?'))}", 3)
-    return np.asarray(values / np.linalg.norm(values))
+    return unit_vector(floats(element, "xyz", f"the axis of joint {quoted(joint)}", 3), joint)
+
+
+def unit_vector(axis: Array, joint: str) -> Array:
+    """Return the direction of the axis of a joint, (3,).  Raises ModelError if it is zero."""
+    if not axis.any():
+        raise ModelError(f"the axis of joint {quoted(joint)} is zero; state a direction")
+    return np.asarray(axis / np.linalg.norm(axis))
 
 
 def keep_numbers(robot: Element, model: pin.Model) -> None:

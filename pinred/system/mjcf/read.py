@@ -14,7 +14,7 @@ from ...common.arrays import Array
 from ...common.errors import ModelError
 from ...lie.group import Group
 from ..locked_joints import LockedJoints, LockValue, separate_attitudes
-from ..merge_hinges import Merge, coupled_joints, locked_hinges, merge_of, unlocked_balls
+from ..merge_hinges import Merge, coupled_joints, locked_hinges, merge_of
 from ..robot_file_contents import Actuator, Contents, Coupling, Keyframe
 from .compile import compiled, mujoco_package
 from .equality_constraints import constraints_of, held_joints, locked_with_followers
@@ -69,8 +69,7 @@ def read_mujoco(
     effective = file_gravity.effective if gravity is None else gravity
     if balls and lock:
         model = tree_of(world, {}, effective).model
-        requested, lock = lock, locked_hinges(model, balls, lock)
-        balls = unlocked_balls(model, balls, requested)
+        lock, balls = locked_hinges(model, balls, lock)
         merge_of(model, balls, kept=lock)  # Refuse balls of locked hinges.
     names = {world.joint_names[joint]: world.kind(joint) for joint in world.all_joints}
     ball_names = [name for name, kind in names.items() if kind == "ball"]

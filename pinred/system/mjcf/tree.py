@@ -12,21 +12,13 @@ from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.names import listed, quoted
 from ..passive import limits_of_angle
-from ..rebuild import ModelBuilder
+from ..rebuild import Carrier, ModelBuilder
 from .root import RootMotion, root_motion
 from .world import Joint, World, frame, joint_of
 
 # Values of mjtSameFrame for which MuJoCo replaces the position (_SAME_PLACE) or the rotation
 # (_SAME_TURN) of a body's inertial frame by those of the body frame, because they nearly agree.
 _SAME_PLACE, _SAME_TURN = (1,), (1, 3)
-
-
-@dataclass(frozen=True)
-class Carrier:
-    """The Pinocchio joint that moves a body (0 is the world), and the body's placement on it."""
-
-    joint: int
-    at: pin.SE3
 
 
 @dataclass
