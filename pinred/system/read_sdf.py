@@ -482,11 +482,11 @@ class _Tree:
     def _add_joint(self, joint: Any, carrier: int, at: pin.SE3, is_reversed: bool) -> int:
         """Add a joint with its armature, limits, damping and friction; return its index."""
         name, axes = self._name(joint), self._assembly.words(joint).axes
-        kind = joint.type_name()
+        type_name = joint.type_name()
         pinocchio_joint, nv = self._pinocchio_joint(joint, is_reversed), joint.num_velocities()
         # The numbers of a ball joint stand on its first axis.
         numbers = [axes[k] if k < len(axes) else Axis() for k in range(nv)]
-        if kind == "ball_rpy":
+        if type_name == "ball_rpy":
             numbers = [axes[0] if axes else Axis()] * nv
         limits = None
         if pinocchio_joint.nq == nv and self._assembly.words(joint).type != "continuous":
@@ -497,14 +497,14 @@ class _Tree:
         )
         self._builder.model.addJointFrame(index)
         damping = [axis.damping for axis in numbers]
-        if kind == "planar":
+        if type_name == "planar":
             damping = list(joint.default_damping_vector())
         self._losses.append(np.array([damping, [axis.friction for axis in numbers]]))
         self._most.append(
             np.array([[axis.velocity for axis in numbers], [axis.effort for axis in numbers]])
         )
-        if kind != "ball_rpy":
-            suffixes = _PARTS.get(kind, ("",) * nv)
+        if type_name != "ball_rpy":
+            suffixes = _PARTS.get(type_name, ("",) * nv)
             self.springs += tuple(
                 Spring(f"{name}{suffix}", axis.stiffness, axis.rest)
                 for axis, suffix in zip(numbers, suffixes, strict=True)
@@ -543,7 +543,7 @@ class _Tree:
 
     def _close(self, joint: Any) -> None:
         """Add the loop that a joint closes."""
-        name, kind = self._name(joint), joint.type_name()
+        name, type_name = self._name(joint), joint.type_name()
         words = self._assembly.words(joint)
         parent, child = _ends(joint)
         if not self._can_cut(joint):
@@ -564,9 +564,9 @@ class _Tree:
             what = "limits of joints that close loops"
             self._left_out.setdefault(what, []).append(name)
         turn, between = pin.SE3.Identity(), pin.SE3.Identity()
-        if kind == "revolute":
+        if type_name == "revolute":
             turn.rotation = _turn_to(np.array(joint.revolute_axis()))
-        elif kind == "weld":
+        elif type_name == "weld":
             between = _pose(joint.X_FM())
         ends = [
             self._add_frame(
@@ -576,7 +576,7 @@ class _Tree:
         ]
         if words.where:
             self.lines[name] = f" ({words.where})"
-        self.loops.append(Loop(ends[0], ends[1], _CUT[kind], name))  # type: ignore[arg-type]
+        self.loops.append(Loop(ends[0], ends[1], _CUT[type_name], name))  # type: ignore[arg-type]
 
     def _tie(self, constraint: BallConstraint) -> None:
         """Add the loop of two points that coincide."""
@@ -635,12 +635,12 @@ class _Tree:
 
     def _part(self, joint: Any, axis: int, where: str) -> str:
         """Return the name of the coordinate of an axis of a joint."""
-        name, kind = self._name(joint), joint.type_name()
-        suffixes = _PARTS.get(kind, ("",) if joint.num_velocities() == 1 else ())
+        name, type_name = self._name(joint), joint.type_name()
+        suffixes = _PARTS.get(type_name, ("",) if joint.num_velocities() == 1 else ())
         if axis >= len(suffixes):
             raise ModelError(
-                f"{where}: <mimic> of {quoted(name)}: axis {axis + 1} of a {kind} joint has no "
-                "coordinate of its own; use revolute or prismatic joints"
+                f"{where}: <mimic> of {quoted(name)}: axis {axis + 1} of a {type_name} joint has "
+                "no coordinate of its own; use revolute or prismatic joints"
             )
         return f"{name}{suffixes[axis]}"
 

@@ -559,11 +559,11 @@ class _Reader:
     def _joint(self, joint: Element, place: _Place) -> Element:
         """Read a joint.  In a static model it is fixed."""
         copy, key = self._copy(joint, "joint", place), (place.model, joint.get("name", ""))
-        kind, where = joint.get("type", ""), place.line(joint)
+        joint_type, where = joint.get("type", ""), place.line(joint)
         elements = [joint.find("axis"), joint.find("axis2")]
         if place.static:
             copy.set("type", "fixed")
-            kind = "fixed"
+            joint_type = "fixed"
         else:
             self._check_type(joint, place)
         if place.version < _UNIQUE and place.taken.count(key[1]) > 1:
@@ -572,48 +572,50 @@ class _Reader:
                 name += "_"
             copy.set("name", name)
             self.document.renamed[place.model, name] = key[1]
-        if kind == "screw":
+        if joint_type == "screw":
             copy.set("type", "revolute")  # Drake does not tell the axis of a screw
         axes = tuple(
-            self._axis(axis, place) for axis in elements if axis is not None and kind != "fixed"
+            self._axis(axis, place)
+            for axis in elements
+            if axis is not None and joint_type != "fixed"
         )
-        mimics = () if kind == "fixed" else tuple(self._mimics(joint, elements, place))
+        mimics = () if joint_type == "fixed" else tuple(self._mimics(joint, elements, place))
         for k, axis in enumerate(list(copy.findall("axis") + copy.findall("axis2"))):
-            if kind in _WITHOUT_AXIS or (k and kind in _WITH_ACTUATOR):
+            if joint_type in _WITHOUT_AXIS or (k and joint_type in _WITH_ACTUATOR):
                 copy.remove(axis)
-            elif kind not in _WITH_ACTUATOR:
+            elif joint_type not in _WITH_ACTUATOR:
                 _without_actuator(axis)
-        if len(axes) > 1 and kind in _WITH_ACTUATOR:
+        if len(axes) > 1 and joint_type in _WITH_ACTUATOR:
             self._report("axes that a joint does not have", f"axis2 of {key[1]}", joint, place)
             axes = axes[:1]
-        if kind == "ball" and any(axis.stiffness for axis in axes):
+        if joint_type == "ball" and any(axis.stiffness for axis in axes):
             self._report("springs of ball joints", key[1], joint, place)
         if key in self.document.joints:
             place.fail(joint, f"a second joint is called {quoted(key[1])}; rename it")
-        pitch = self._pitch(joint, place) if kind == "screw" else 1.0
-        self.document.joints[key] = JointWords(kind, where, axes, mimics, pitch)
+        pitch = self._pitch(joint, place) if joint_type == "screw" else 1.0
+        self.document.joints[key] = JointWords(joint_type, where, axes, mimics, pitch)
         return copy
 
     def _drake_joint(self, joint: Element, place: _Place) -> Element:
         """Read a <drake:joint>."""
-        kind, name = joint.get("type", ""), joint.get("name", "")
-        if kind != "planar":
-            place.fail(joint, unread_type(name, kind), ModelError)
+        joint_type, name = joint.get("type", ""), joint.get("name", "")
+        if joint_type != "planar":
+            place.fail(joint, unread_type(name, joint_type), ModelError)
         for tag in ("drake:parent", "drake:child", "drake:damping"):
             if joint.find(tag) is None:
                 place.fail(joint, f"joint {quoted(name)} has no <{tag}>; add it")
-        self.document.joints[place.model, name] = JointWords(kind, place.line(joint))
+        self.document.joints[place.model, name] = JointWords(joint_type, place.line(joint))
         return self._copy(joint, "drake:joint", place)
 
     @staticmethod
     def _check_type(joint: Element, place: _Place) -> None:
         """Reject a joint of another type, or without an axis."""
-        kind, name = joint.get("type", ""), joint.get("name", "")
-        if kind not in _AXES:
-            place.fail(joint, unread_type(name, kind), ModelError)
-        for tag in _AXES[kind]:
+        joint_type, name = joint.get("type", ""), joint.get("name", "")
+        if joint_type not in _AXES:
+            place.fail(joint, unread_type(name, joint_type), ModelError)
+        for tag in _AXES[joint_type]:
             if joint.find(tag) is None:
-                place.fail(joint, f"{kind} joint {quoted(name)} has no <{tag}>; add it")
+                place.fail(joint, f"{joint_type} joint {quoted(name)} has no <{tag}>; add it")
 
     def _pitch(self, joint: Element, place: _Place) -> float:
         """Return the displacement of a screw joint per revolution [m]."""
@@ -720,10 +722,10 @@ class _Reader:
             values = np.empty(0)
         valid = np.isfinite(values).all() if finite else not np.isnan(values).any()
         if len(words) != size or len(values) != size or not valid:
-            kind = "finite number" if finite else "number"
+            expected = "finite number" if finite else "number"
             place.fail(
                 element,
-                f"<{plain(element.tag)}>: expected {size} {kind}{'s' * (size > 1)}, got "
+                f"<{plain(element.tag)}>: expected {size} {expected}{'s' * (size > 1)}, got "
                 f"{quoted(element.text or '')}",
             )
         return values
@@ -764,12 +766,10 @@ class _Include:
     merges: bool
 
 
-def unread_type(name: str, kind: str) -> str:
+def unread_type(name: str, type_name: str) -> str:
     """Return the error message about a joint of a type that is not read."""
-    return (
-        f"joint {quoted(name)} is of type {plain(kind) or '?'}, which pinred does not read from "
-        f"SDF; use {_TYPES}"
-    )
+    shown = f"joint {quoted(name)} is of type {plain(type_name) or '?'}"
+    return f"{shown}, which pinred does not read from SDF; use {_TYPES}"
 
 
 def _without_actuator(axis: Element) -> None:

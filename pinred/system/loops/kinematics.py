@@ -89,8 +89,8 @@ class BallLaw:
 
     def value(self, q: Array) -> Array:
         """Return φ, (1,), at configuration q (nq,)."""
-        own = q[self._q]
-        return np.array([(0.5 * self._S @ own + self._l) @ own - self._c])
+        ball = q[self._q]
+        return np.array([(0.5 * self._S @ ball + self._l) @ ball - self._c])
 
     def row(self, q: Array) -> Array:
         """Return the row of the Jacobian, (1, nv)."""
@@ -100,10 +100,10 @@ class BallLaw:
 
     def row_rate(self, q: Array, v: Array) -> Array:
         """Return the time derivative of the row at velocity v (nv,), (1, nv)."""
-        own, rate = q[self._q], np.zeros((1, self._nv))
-        turn = rates_of_quaternion(own) @ v[self._v]
-        rate[0, self._v] = (self._S @ turn) @ rates_of_quaternion(own)
-        rate[0, self._v] += (self._S @ own + self._l) @ rates_of_quaternion(turn)
+        ball, rate = q[self._q], np.zeros((1, self._nv))
+        turn = rates_of_quaternion(ball) @ v[self._v]
+        rate[0, self._v] = (self._S @ turn) @ rates_of_quaternion(ball)
+        rate[0, self._v] += (self._S @ ball + self._l) @ rates_of_quaternion(turn)
         return rate
 
 
