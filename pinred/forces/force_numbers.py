@@ -187,6 +187,7 @@ class ForceNumbers:
 
     Attributes:
         symbols: One symbol per number, in the order of creation.
+        in_formulas: Indices of the numbers that belong to formulas or tables.
     """
 
     def __init__(self, tables: Tables | None = None) -> None:
@@ -203,7 +204,7 @@ class ForceNumbers:
                 first += table.width
         self._slopes: list[tuple[int, Parameter, float]] = []
         self._slot_of: dict[Parameter, int] = {}
-        self._in_formulas: list[int] = []
+        self.in_formulas: list[int] = []
 
     def __len__(self) -> int:
         return len(self._values)
@@ -224,7 +225,7 @@ class ForceNumbers:
                 self.symbols.append(value.symbol)
             return self.symbols[self._slot_of[value]]
         if isinstance(value, Affine):
-            self._in_formulas.append(slot)
+            self.in_formulas.append(slot)
             self._slopes += [
                 (slot, parameter, weight) for parameter, weight in value.weights.items()
             ]
@@ -242,11 +243,6 @@ class ForceNumbers:
     def values(self) -> Array:
         """Values of the numbers, (p,)."""
         return read_only(np.array(self._values))
-
-    @property
-    def in_formulas(self) -> list[int]:
-        """Indices of the numbers that belong to formulas or tables."""
-        return self._in_formulas
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the Parameters among the numbers.

@@ -436,8 +436,7 @@ class Table(Signal):
     @property
     def breaks(self) -> Array:
         """Times at which one segment ends and the next begins [s]."""
-        starts: Array = vars(self)["_starts"]
-        return read_only(starts[1:])
+        return read_only(self.starts[1:])
 
     @property
     def smoothness(self) -> float:
@@ -568,8 +567,7 @@ class Table(Signal):
         """The piecewise polynomial as a SciPy PPoly object."""
         from scipy.interpolate import PPoly
 
-        starts, coefficients = vars(self)["_starts"], vars(self)["_coefficients"]
-        return PPoly(coefficients, np.append(starts, self.span[1]))
+        return PPoly(vars(self)["_coefficients"], np.append(self.starts, self.span[1]))
 
 
 def _combined(terms: Sequence[Any], parameters: Sequence[Any]) -> Any:

@@ -17,8 +17,7 @@ from ..locked_joints import separate_attitudes
 from ..system import System
 from .compile import compiled
 from .equality_constraints import locked_with_followers
-from .root import RootMotion
-from .tree import Tree, tree_of
+from .tree import RootMotion, Tree, tree_of
 from .world import Joint, World, robot_in
 
 _ITERATIONS = 50  # largest number of Newton steps for the joints of a base

@@ -19,8 +19,7 @@ from ..robot_file_contents import Actuator, Contents, Coupling, Keyframe
 from .compile import compiled, mujoco_package
 from .equality_constraints import constraints_of, held_joints, locked_with_followers
 from .mujoco_forces import actuators_of, left_out_actions, moving_tendons, passive_forces
-from .root import ignored_rotors
-from .tree import Tree, tree_of
+from .tree import Tree, ignored_rotors, tree_of
 from .world import World, robot_in
 
 
