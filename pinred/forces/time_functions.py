@@ -240,7 +240,7 @@ class TimeFunctions:
     """
 
     def __init__(
-        self, functions: Sequence[tuple[ca.Function, int]], size: int, held: Collection[int]
+        self, functions: Sequence[tuple[ca.Function, int]], size: int, changing: Collection[int]
     ) -> None:
         """Collect the functions of time.
 
@@ -248,12 +248,12 @@ class TimeFunctions:
             functions: CasADi functions with time as first input, each with the index of the input
                 that has the numbers of the forces.
             size: Number of numbers p.
-            held: Indices of the numbers that change during a run.
+            changing: Indices of the numbers that change during a run.
         """
         t, p = ca.SX.sym("t"), ca.SX.sym("p", size)
         values_by_index: dict[int, _Value] = {}
         for function, numbers in functions:
-            _collect(function, numbers, t, p, held, values_by_index)
+            _collect(function, numbers, t, p, changing, values_by_index)
         values = [v for v in values_by_index.values() if _is_bent(v.expression, t)]
         values = [v for v in values if _is_known([t, p], v.expression)]
         groups = [_terms(value, t) for value in values]
@@ -365,15 +365,15 @@ def _collect(
     numbers: int,
     t: ca.SX,
     p: ca.SX,
-    held: Collection[int],
-    found: dict[int, _Value],
+    changing: Collection[int],
+    timed_values: dict[int, _Value],
 ) -> None:
     """Add the functions of time in a CasADi function to {hash: value}; see TimeFunctions."""
     work: list[Any] = [None] * function.sz_w()
 
     def use(value: _Value) -> None:
         if value.kind == _TIMED or value.bent:
-            found.setdefault(value.expression.element_hash(), value)
+            timed_values.setdefault(value.expression.element_hash(), value)
 
     for k in range(function.n_instructions()):
         op, into = function.instruction_id(k), function.instruction_output(k)
@@ -382,7 +382,7 @@ def _collect(
             continue
         operands: Any = function.instruction_input(k)
         if op == ca.OP_INPUT:
-            work[into[0]] = _input(operands, numbers, t, p, held)
+            work[into[0]] = _input(operands, numbers, t, p, changing)
         elif op == ca.OP_OUTPUT:
             use(work[operands[0]])
         else:
@@ -417,11 +417,14 @@ def _apply(op: int, values: Sequence[_Value]) -> _Value:
     return _Value(kind, expression, any(timed), kind == _STATE and any(timed) and bent, terms)
 
 
-def _input(given: Sequence[int], numbers: int, t: ca.SX, p: ca.SX, held: Collection[int]) -> _Value:
-    """Return the value of entry given[1] of input given[0]."""
-    if given[0] == 0:
+def _input(
+    at: Sequence[int], numbers: int, t: ca.SX, p: ca.SX, changing: Collection[int]
+) -> _Value:
+    """Return the value of an input at (index of the input, index of the entry)."""
+    argument, entry, *_ = at
+    if argument == 0:
         return _Value(_TIMED, t, timed=True)
-    if given[0] == numbers and given[1] not in held:
-        return _Value(_CONSTANT, p[given[1]])
+    if argument == numbers and entry not in changing:
+        return _Value(_CONSTANT, p[entry])
     # Any state shows how fast the expression changes with time; numbers of one size are typical.
-    return _Value(_STATE, ca.SX(0.2 + 0.7 * ((0.618 * (given[1] + 1)) % 1.0)))
+    return _Value(_STATE, ca.SX(0.2 + 0.7 * ((0.618 * (entry + 1)) % 1.0)))

@@ -33,7 +33,7 @@ from .robot_file_contents import Coupling
 # Prismatic joints along x, y and z, which are faster than the last one, for an arbitrary axis.
 PRISMATIC = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ, pin.JointModelPrismaticUnaligned)
 REVOLUTE = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelRevoluteUnaligned)
-_RATE_LIMITS = ("lowerVelocityLimit", "upperVelocityLimit", "lowerEffortLimit", "upperEffortLimit")
+RATE_LIMITS = ("lowerVelocityLimit", "upperVelocityLimit", "lowerEffortLimit", "upperEffortLimit")
 _HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 _ALIGNED = 1e-9  # largest deviation of a unit axis from x, y or z that counts as round-off
 
@@ -195,7 +195,7 @@ def rebuild(
     model = builder.finish()
     for i, k in copied.items():
         old, new = raw.joints[i], model.joints[k]
-        for kind in _RATE_LIMITS:
+        for kind in RATE_LIMITS:
             limits = getattr(raw, kind)[old.idx_v : old.idx_v + old.nv]
             getattr(model, kind)[new.idx_v : new.idx_v + new.nv] = limits
     return model

@@ -11,7 +11,7 @@ from trees import placement, random_model
 
 import pinred
 from pinred.common.object_cache import ObjectCache
-from pinred.forces import ComputedTorque, Wrench, force_model, generalized_forces
+from pinred.forces import ComputedTorque, Wrench, generalized_forces
 from pinred.forces.force_model import ForceModel
 from pinred.forces.force_numbers import RobotSymbols
 from pinred.kernels.build import build_kernel
@@ -56,14 +56,14 @@ def build_with(system: pinred.System, force: Any, freed: Freed | None = None) ->
 
 def test_validation_detects_wrong_link_wrench(monkeypatch: pytest.MonkeyPatch) -> None:
     """The joint torques of a link wrench, with three times the allowed error, are rejected."""
-    system, right = tree(), vars(force_model)["of_load"]
+    system, right = tree(), vars(generalized_forces)["of_load"]
     build_with(system, link_wrench())
 
     def wrong(*arguments: Any) -> Any:
-        load = right(*arguments)
-        return type(load)(load.torque * FAULT, load.wrench)
+        torque, wrench = right(*arguments)
+        return torque * FAULT, wrench
 
-    monkeypatch.setattr(force_model, "of_load", wrong)
+    monkeypatch.setattr(generalized_forces, "of_load", wrong)
     with pytest.raises(pinred.KernelMismatch, match="Pinocchio: acceleration is"):
         build_with(system, link_wrench())
 

@@ -122,20 +122,9 @@ def _fixed(world: World, tendon: int) -> list[tuple[int, float]]:
     ]
 
 
-@dataclass(frozen=True)
-class TendonLaws:
-    """The linear laws of fixed tendons.
-
-    Attributes:
-        couplings: Couplings, each with one joint as the follower.
-        held: Values of joints that constraints fix, and names of these constraints, by joint.
-    """
-
-    couplings: list[Coupling]
-    held: dict[str, tuple[float, str]]
-
-
-def tendon_laws(world: World, couplings: Sequence[Coupling]) -> TendonLaws:
+def tendon_laws(
+    world: World, couplings: Sequence[Coupling]
+) -> tuple[list[Coupling], dict[str, float]]:
     """Solve the linear constraints of fixed tendons for one joint each.
 
     The follower is the joint with the largest coefficient, among equal ones the last joint.
@@ -144,21 +133,20 @@ def tendon_laws(world: World, couplings: Sequence[Coupling]) -> TendonLaws:
         world: The robot.
         couplings: Couplings of joint constraints.
     Returns:
-        The laws.
+        Couplings, each with one joint as the follower; and values of joints that constraints fix.
     Raises:
         ModelError: Two constraints contradict each other.
     """
     names = [world.joint_names[joint] for joint in world.all_joints]
-    laws = TendonLaws([], {})
+    laws, constant_joints = list[Coupling](), dict[str, float]()
     for constraint in active_constraints(world):
         if constraint.kind != "tendon" or not_linear(world, constraint):
             continue
         joints = joints_of(world, constraint)
         if not set(joints) <= set(world.all_joints):
             continue
-        all_couplings = [*couplings, *laws.couplings]
-        constants = [Coupling(name, {}, value) for name, (value, _) in laws.held.items()]
-        independent = resolved([*all_couplings, *constants], names)
+        constants = [Coupling(name, {}, value) for name, value in constant_joints.items()]
+        independent = resolved([*couplings, *laws, *constants], names)
         row, constant, size = _substituted(world, constraint, joints, independent)
         if not row:
             if abs(constant) > _ROUND_OFF * size:
@@ -172,10 +160,10 @@ def tendon_laws(world: World, couplings: Sequence[Coupling]) -> TendonLaws:
         pivot = row.pop(follower)
         law = Coupling(follower, {n: -c / pivot for n, c in row.items()}, -constant / pivot)
         if row:
-            laws.couplings.append(law)
+            laws.append(law)
         else:
-            laws.held[follower] = (law.offset, constraint.name)
-    return laws
+            constant_joints[follower] = law.offset
+    return laws, constant_joints
 
 
 def _substituted(
@@ -204,26 +192,15 @@ def _substituted(
     return row, constant, size
 
 
-@dataclass(frozen=True)
-class Constraints:
-    """The active equality constraints of a robot.
+def constraints_of(
+    tree: Tree,
+) -> tuple[tuple[Coupling, ...], tuple[str, ...], tuple[LoopConstraint, ...]]:
+    """Return the active constraints of a robot, and add the frames of loops to its model.
 
-    Attributes:
-        couplings: Couplings of followers in proportion to their leaders.
-        outside: Names of constraints that tie the robot to other bodies, or act on tendons or
-            flexible bodies.
-        loops: Constraints that close kinematic loops, and polynomials of joints; the frames of
-            loops are in the model.
-    """
-
-    couplings: tuple[Coupling, ...]
-    outside: tuple[str, ...]
-    loops: tuple[LoopConstraint, ...] = ()
-
-
-def constraints_of(tree: Tree) -> Constraints:
-    """Return the constraints that act on a robot, and add the frames of loops to its model.
-
+    Returns:
+        Couplings of followers in proportion to their leaders; names of constraints that tie the
+        robot to other bodies, or act on tendons or flexible bodies; and constraints that close
+        kinematic loops, and polynomials of joints.
     Raises:
         ModelError: A constraint attaches the robot to the world, or contradicts another one.
     """
@@ -244,7 +221,7 @@ def constraints_of(tree: Tree) -> Constraints:
                     loops.append(law)
         elif constraint.kind != "tendon" or _is_outside(tree, constraint):
             outside.append(constraint.name)
-    return Constraints((*couplings, *_tendon_couplings(tree)), tuple(outside), tuple(loops))
+    return (*couplings, *_tendon_couplings(tree)), tuple(outside), tuple(loops)
 
 
 def _is_outside(tree: Tree, constraint: Constraint) -> bool:
@@ -270,8 +247,8 @@ def _tendon_couplings(tree: Tree) -> list[Coupling]:
     """Return the couplings of free joints that fixed tendons define."""
     world = tree.world
     values = {world.joint_names[joint]: value for joint, value in tree.locked.items()}
-    laws = tendon_laws(world, proportional_couplings(world))
-    free = [coupling for coupling in laws.couplings if coupling.follower not in values]
+    laws, _ = tendon_laws(world, proportional_couplings(world))
+    free = [coupling for coupling in laws if coupling.follower not in values]
     return [with_constants(coupling, values) for coupling in free]
 
 
@@ -383,10 +360,7 @@ def _laws(tree: Tree, constraint: Constraint) -> Sequence[Coupling | JointPolyno
 
 def held_joints(world: World) -> dict[str, float]:
     """Return the joints that active equality constraints hold, with their values."""
-    constant = {
-        name: value
-        for name, (value, _) in tendon_laws(world, proportional_couplings(world)).held.items()
-    }
+    _, constant = tendon_laws(world, proportional_couplings(world))
     for constraint in active_constraints(world):
         first, second = (*constraint.objects, -1)[:2]
         if constraint.kind == "joint" and second < 0 and first in world.all_joints:
@@ -407,7 +381,7 @@ def locked_with_followers(
         InputError: A proportional follower is locked without its leader.
     """
     couplings = proportional_couplings(world)
-    couplings += tendon_laws(world, couplings).couplings
+    couplings += tendon_laws(world, couplings)[0]
     nonlinear: list[tuple[str, Tie]] = []
     for constraint in active_constraints(world):
         if couples_joints(world, constraint) and any(constraint.coefficients[2:]):

@@ -75,9 +75,9 @@ def read_mujoco(
     values, attitudes = separate_attitudes(lock, ball_names, names)
     locked_values, ties, shared = locked_with_followers(world, values)
     tree = tree_of(world, locked_values, effective, attitudes=attitudes)
-    constraints = constraints_of(tree)
+    couplings, outside, loops = constraints_of(tree)
     forces = passive_forces(tree)
-    kept = {*locked_values, *coupled_joints(constraints.couplings)}
+    kept = {*locked_values, *coupled_joints(couplings)}
     merge = merge_of(tree.model, balls, passive=forces, kept=kept)
     locked = None
     if locked_values:
@@ -99,15 +99,13 @@ def read_mujoco(
     def contents(group: Group) -> Contents:
         return Contents(
             left_out=(
-                *left_out_actions(
-                    tree, constraints.outside, without, gravcomp=file_gravity.is_uneven
-                ),
+                *left_out_actions(tree, outside, without, gravcomp=file_gravity.is_uneven),
                 *merge.left_out(forces),
             ),
             passive=merge.forces(forces),
             actuators=tuple(actuators.values()),
-            keyframes=keyframes_of(tree, group, constraints.couplings, merge, actuators),
-            couplings=constraints.couplings,
+            keyframes=keyframes_of(tree, group, couplings, merge, actuators),
+            couplings=couplings,
             freed=fixed[0] if fixed and tree.root is None else "",
             warnings=(
                 *(() if tree.root is None else ignored_rotors(tree.root.joints)),
@@ -115,7 +113,7 @@ def read_mujoco(
             ),
             locked=locked,
             merged=merge.triples,
-            loops=constraints.loops,
+            loops=loops,
             links=tree.links,
         )
 
