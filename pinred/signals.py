@@ -6,8 +6,6 @@ three signals does the same for a ball joint.
 """
 
 from .forces.signals.attitude_signal import Attitude
-from .forces.signals.formulas import Constant, Expression, Fourier
-from .forces.signals.signal import Signal
-from .forces.signals.tabulated import Hold, Linear, Spline
+from .forces.signals.signal import Constant, Expression, Fourier, Hold, Linear, Signal, Spline
 
 __all__ = ["Attitude", "Constant", "Expression", "Fourier", "Hold", "Linear", "Signal", "Spline"]

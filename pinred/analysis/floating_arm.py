@@ -30,7 +30,7 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, positive, read_only, vector, vectors, whole
 from ..common.errors import InputError
 from ..common.names import joint_index, listed, nearest, quoted
-from ..system.stated_limits import limits_of
+from ..system.passive import limits_of
 from ..system.system import System, checked_system
 from .connections.rotation_chart import RotationChart
 from .full_reduction import Reduction

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, as_floats, positive, read_only
 from ..common.errors import InputError
-from ..forces.signals.formulas import Fourier
+from ..forces.signals.signal import Fourier
 from ..system.system import System
 
 _SINGULAR = 1e-3  # singular value, in units of the largest one at x0, below which a path ends

@@ -30,15 +30,23 @@ from .columns import (
     wrench_column,
 )
 from .force import Force, Terms
-from .force_numbers import ForceNumbers, RobotSymbols, Tables, numbers_of, random_numbers
-from .force_values import Acting, ForceInputs, Numeric, Prescribed
+from .force_numbers import (
+    Acting,
+    ForceInputs,
+    ForceNumbers,
+    Numeric,
+    Prescribed,
+    RobotSymbols,
+    Tables,
+    numbers_of,
+    random_numbers,
+)
 from .kinds import Controller
-from .link_wrenches import of_load
-from .prescribed_joints import Plan, prescribed_motion, prescribed_rates, signals_of
 from .signals import Signal
-from .signals.tabulated import Table
+from .signals.signal import Table
 from .switch_times import KINKS, SwitchTimes, separate, time_within
 from .time_functions import TimeFunctions
+from .tracking import Plan, prescribed_motion, prescribed_rates, signals_of
 
 
 class ForceExpressions:
@@ -119,12 +127,12 @@ class ForceExpressions:
 
     def _required_torque(self, accelerations: Mapping[int, ca.SX]) -> ca.SX:
         """Return the torques (m,) that produce joint accelerations, and store both."""
-        from .inverse_dynamics import required_torque  # its imports are slow
+        from .generalized_forces import required_torque
 
         joints = sorted(accelerations)
         requested = ca.vertcat(*(accelerations[k] for k in joints))
         if self._law.loops:
-            from .inverse_dynamics import loop_motion
+            from .generalized_forces import loop_motion
 
             G, drift = loop_motion(self._law, self.symbols, joints)
             requested = G @ requested + drift
@@ -134,7 +142,7 @@ class ForceExpressions:
 
     def _loop_motion(self, independent: Sequence[int]) -> ca.SX:
         """Return G, (m, k), with ẋ = G u̇ for the rates of independent joints."""
-        from .inverse_dynamics import loop_motion
+        from .generalized_forces import loop_motion
 
         return loop_motion(self._law, self.symbols, independent)[0]
 
@@ -154,9 +162,11 @@ class ForceExpressions:
         torque, wrench = torque_column(terms, system), wrench_column(terms, r)
         self.direct.append(ca.vertcat(torque, wrench))
         for load in terms.loads:
-            on_coordinates = of_load(system, self._robot, s, load, force.label)
-            torque, wrench = torque + on_coordinates.torque, wrench + on_coordinates.wrench
-            self.acted |= {k for k in range(system.m) if not on_coordinates.torque[k].is_zero()}
+            from .generalized_forces import of_load  # its imports are slow
+
+            load_torque, load_wrench = of_load(system, self._robot, s, load, force.label)
+            torque, wrench = torque + load_torque, wrench + load_wrench
+            self.acted |= {k for k in range(system.m) if not load_torque[k].is_zero()}
         self.loads += terms.loads
         self.torques = ca.horzcat(self.torques, torque)
         self.wrenches = ca.horzcat(self.wrenches, wrench)

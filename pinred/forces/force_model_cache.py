@@ -23,14 +23,13 @@ from ..reduction.potential import spring_pair
 from ..reduction.tree.free_bodies import NOTHING, freed_of
 from ..system.model_parameters import ModelParameters
 from ..system.system import System, nominal
-from .actuation import Actuation
-from .controller import Controller
+from .controller import Actuation, Controller
 from .force import Force, Limit
 from .force_model import ForceModel
 from .kinds import Damper, Friction, Spring
-from .prescribed_joints import Plan, signals_of
 from .signals import Attitude, Constant, Expression, Signal
-from .signals.tabulated import Table
+from .signals.signal import Table
+from .tracking import Plan, signals_of
 
 _PACKAGE = f"{__name__.partition('.')[0]}."
 PLAIN = frozenset({float, int, Default, np.float64, np.int64, str, bool, type(None)})

@@ -1,4 +1,4 @@
-"""Numbers of forces: symbols for kernels, robot parameters, and segments of tables.
+"""Numbers of forces: symbols for kernels, robot parameters, segments of tables, and evaluation.
 
 Kernels take these symbols as inputs, so they need not be compiled again when the values change.
 Robot parameters are needed because a wrench on a link depends on link frames, and inverse dynamics
@@ -6,6 +6,9 @@ depends on all inertias and on gravity.
 
 A kernel sees one segment of each table, as numbers that change from span to span.  It does not
 depend on the number of entries of a table, and tables of one kind share it.
+
+At given numbers, CasADi Functions are evaluated in fixed arrays, which takes less time than their
+usual calls.
 """
 
 from __future__ import annotations
@@ -13,14 +16,15 @@ from __future__ import annotations
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
+from threading import local
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from ..common.arrays import Array, read_only
+from ..common.arrays import Array, FrozenArrays, read_only
 from ..common.errors import InputError
 from ..common.parameter import Affine, Parameter, by_name
 from ..reduction.potential import acting_gravity
@@ -38,7 +42,10 @@ from ..reduction.tree.free_bodies import (
 from ..reduction.tree.scalars import Scalar, Vec
 from ..system.coordinates import Indices
 from ..system.system import System
-from .signals.tabulated import Table
+from .signals.signal import Table
+
+_NEAR = 1e-2  # relative variation of numbers in formulas when kernels are tested
+_AT_ONCE = 256  # number of evaluations that share a run
 
 
 class SpanNumbers(ABC):
@@ -175,15 +182,12 @@ def tables_of_runs(tables: Sequence[Tables]) -> SpanNumbers:
     return TablesOfRuns(tuple(distinct.values()), which)
 
 
-# Relative variation of numbers in formulas when kernels are tested with random numbers.
-_NEAR = 1e-2
-
-
 class ForceNumbers:
     """Collection of all numbers in forces and signals, with their symbols and values.
 
     Attributes:
         symbols: One symbol per number, in the order of creation.
+        in_formulas: Indices of the numbers that belong to formulas or tables.
     """
 
     def __init__(self, tables: Tables | None = None) -> None:
@@ -200,7 +204,7 @@ class ForceNumbers:
                 first += table.width
         self._slopes: list[tuple[int, Parameter, float]] = []
         self._slot_of: dict[Parameter, int] = {}
-        self._in_formulas: list[int] = []
+        self.in_formulas: list[int] = []
 
     def __len__(self) -> int:
         return len(self._values)
@@ -221,7 +225,7 @@ class ForceNumbers:
                 self.symbols.append(value.symbol)
             return self.symbols[self._slot_of[value]]
         if isinstance(value, Affine):
-            self._in_formulas.append(slot)
+            self.in_formulas.append(slot)
             self._slopes += [
                 (slot, parameter, weight) for parameter, weight in value.weights.items()
             ]
@@ -239,11 +243,6 @@ class ForceNumbers:
     def values(self) -> Array:
         """Values of the numbers, (p,)."""
         return read_only(np.array(self._values))
-
-    @property
-    def in_formulas(self) -> list[int]:
-        """Indices of the numbers that belong to formulas or tables."""
-        return self._in_formulas
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the Parameters among the numbers.
@@ -394,3 +393,151 @@ def numbers_in(
             link_values = link_numbers(body, frames[frame].placement).tolist()
         values += link_values
     return values
+
+
+@dataclass(frozen=True)
+class BaseInSpace:
+    """Pose, twist and momenta of the base in space, i.e. relative to the root joint's fixed frame.
+
+    See SeenState for their definitions.
+
+    Attributes:
+        pose: Pose, (size,).
+        xi: Body twist, (r,).
+        mu: Body momentum, (r,).
+        J: Spatial momentum, (r,).
+    """
+
+    pose: Array
+    xi: Array
+    mu: Array
+    J: Array
+
+
+@dataclass(frozen=True)
+class ForceInputs:
+    """The state that forces depend on, and the numbers in the forces: see Symbols.
+
+    At T times, t has the shape (T,), and all others have a leading axis of length T.
+
+    Attributes:
+        t: Time [s].
+        x: Shape, (m,).
+        xdot: Shape rate, (m,).
+        xi: Body twist relative to the centre of mass, (r,).
+        mu: Body momentum about the centre of mass, (r,).
+        numbers: Values of the numbers in the forces (see ForceModel.numbers), (p,).
+        base: The base in space; required if forces depend on its pose or motion.
+    """
+
+    t: float | Array
+    x: Array
+    xdot: Array
+    xi: Array
+    mu: Array
+    numbers: Array
+    base: BaseInSpace | None = None
+
+
+@dataclass(frozen=True)
+class Acting:
+    """The sum of all forces at one state, or at T states with a leading axis.
+
+    Attributes:
+        torque: Torques on the joints, −∂V/∂x included, (m,).
+        wrench: Wrench on the base, (r,).
+    """
+
+    torque: Array
+    wrench: Array
+
+
+@dataclass(frozen=True)
+class Prescribed(FrozenArrays):
+    """Motion of k prescribed joints at one time, or at T times with a leading axis.
+
+    Attributes:
+        x: Positions, (k,).
+        xdot: Rates, (k,).
+        xddot: Accelerations, (k,).
+    """
+
+    x: Array
+    xdot: Array
+    xddot: Array
+
+
+class FunctionBuffers:
+    """Arrays that a CasADi Function of dense inputs and outputs reads and writes in place.
+
+    Attributes:
+        inputs: One array of numbers for each input, column by column.
+        outputs: One array (rows, columns) for each output, which each run overwrites.
+    """
+
+    def __init__(self, function: ca.Function, shared: Mapping[int, Array] | None = None) -> None:
+        """Allocate the arrays.
+
+        Args:
+            function: The Function.
+            shared: Arrays to use for inputs by index, such as outputs of another Function.
+        """
+        f, values = function, shared or {}
+        buffer: Any
+        buffer, self._run = f.buffer()
+        self._kept = function, buffer  # `_run` holds only pointers to them
+        self.inputs = [values.get(k, np.zeros(f.nnz_in(k))) for k in range(f.n_in())]
+        self.outputs = [np.zeros(f.size_out(k), order="F") for k in range(f.n_out())]
+        for set_view, arrays in ((buffer.set_arg, self.inputs), (buffer.set_res, self.outputs)):
+            for k, array in enumerate(arrays):
+                if array.size:
+                    entries: Any = array.ravel(order="K")  # a view
+                    set_view(k, memoryview(entries))
+
+    def run(self) -> None:
+        """Evaluate the outputs."""
+        self._run()
+
+
+class Numeric:
+    """A CasADi Function of dense inputs and outputs, callable from any thread."""
+
+    def __init__(self, function: ca.Function) -> None:
+        """Store the Function; work arrays are allocated at the first call of each thread."""
+        self._function = function
+        self._local = local()
+
+    def __call__(self, *arguments: Array | float) -> list[Array]:
+        """Evaluate the Function; return a new array (rows, columns) for each output."""
+        work = self._local
+        if not hasattr(work, "buffers"):
+            work.buffers = FunctionBuffers(self._function)
+        buffers: FunctionBuffers = work.buffers
+        for array, argument in zip(buffers.inputs, arguments, strict=True):
+            array[:] = argument
+        buffers.run()
+        return [array.copy() for array in buffers.outputs]
+
+    def at_all(self, *arguments: Array) -> list[Array]:
+        """Evaluate the Function at T arguments.
+
+        Args:
+            arguments: An array (T, rows) for each input, or (rows,) if all T share it.
+        Returns:
+            A new array (T, rows, columns) for each output.
+        """
+        count, f = max(len(a) for a in arguments if a.ndim == 2), self._function
+        at_once = min(count, _AT_ONCE)
+        buffers = FunctionBuffers(f.map(at_once))
+        sizes = [f.size_out(k) for k in range(f.n_out())]
+        outputs = [np.empty((count, columns, rows)) for rows, columns in sizes]
+        for first in range(0, count, at_once):
+            chunk = slice(first, min(first + at_once, count))
+            for array, argument in zip(buffers.inputs, arguments, strict=True):
+                rows = array.reshape(at_once, argument.shape[-1])
+                rows[: chunk.stop - first] = argument[chunk] if argument.ndim == 2 else argument
+            buffers.run()
+            for output, column in zip(outputs, buffers.outputs, strict=True):
+                results = column.T.reshape(at_once, *output.shape[1:])
+                output[chunk] = results[: chunk.stop - first]
+        return [output.swapaxes(1, 2) for output in outputs]

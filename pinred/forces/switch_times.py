@@ -27,7 +27,7 @@ from ..common.arrays import Array, read_only
 from ..common.errors import InputError
 from ..system.coordinates import Indices
 from .force_numbers import SpanNumbers, Tables
-from .vector_program import VectorProgram
+from .time_functions import VectorProgram
 
 COMPARISONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
 KINKS = frozenset({
@@ -179,15 +179,15 @@ class _Walk:
                 work[into[0]] = self._node(op, [work[i] for i in operands])
         return outputs
 
-    def _node(self, op: int, given: list[_Node]) -> _Node:
+    def _node(self, op: int, operands: list[_Node]) -> _Node:
         if op == ca.OP_IF_ELSE_ZERO:
-            return self._selected(*given)
-        if any(node.level < 0 for node in given):
+            return self._selected(*operands)
+        if any(node.level < 0 for node in operands):
             self.has_kinks |= op in KINKS
-            return _Node(_applied(op, *(node.now for node in given)))
-        if op in KINKS and not all(node.now.is_constant() for node in given):
-            return self._switch(op, given)
-        return _combined(op, given)
+            return _Node(_applied(op, *(node.now for node in operands)))
+        if op in KINKS and not all(node.now.is_constant() for node in operands):
+            return self._switch(op, operands)
+        return _combined(op, operands)
 
     def _selected(self, condition: _Node, value: _Node) -> _Node:
         """Return the value where a condition holds, else zero."""
@@ -200,14 +200,14 @@ class _Walk:
             return _Node(_applied(ca.OP_IF_ELSE_ZERO, condition.now, value.now))
         return _combined(ca.OP_IF_ELSE_ZERO, [condition, value])
 
-    def _switch(self, op: int, given: list[_Node]) -> _Node:
+    def _switch(self, op: int, operands: list[_Node]) -> _Node:
         """Return a condition on time and numbers, and store its switches."""
-        first, second = given[0], given[-1]
+        first, second = operands[0], operands[-1]
         if op in (ca.OP_FABS, ca.OP_SIGN):
-            sign = self._add(ca.OP_SIGN, given, first)
+            sign = self._add(ca.OP_SIGN, operands, first)
             return sign if op == ca.OP_SIGN else _combined(ca.OP_MUL, [sign, first])
         if op in (ca.OP_FMIN, ca.OP_FMAX):
-            is_less = self._add(ca.OP_LT, given, _combined(ca.OP_SUB, given))
+            is_less = self._add(ca.OP_LT, operands, _combined(ca.OP_SUB, operands))
             chosen, other = (first, second) if op == ca.OP_FMIN else (second, first)
             is_not = _combined(ca.OP_NOT, [is_less])
             summands = [
@@ -216,7 +216,7 @@ class _Walk:
             ]
             return _combined(ca.OP_ADD, summands)
         if op in (ca.OP_FMOD, ca.OP_REMAINDER):
-            quotient = _combined(ca.OP_DIV, given)
+            quotient = _combined(ca.OP_DIV, operands)
             if op == ca.OP_REMAINDER:
                 quotient = _combined(ca.OP_ADD, [quotient, _constant(0.5)])
             count = self._add(ca.OP_FLOOR, [quotient], quotient, whole=True)
@@ -228,10 +228,10 @@ class _Walk:
             sign = self._add(ca.OP_COPYSIGN, [_constant(1.0), second], second)
             return _combined(ca.OP_MUL, [size, sign])
         if op in (ca.OP_LT, ca.OP_LE):
-            return self._add(op, given, _combined(ca.OP_SUB, given))
+            return self._add(op, operands, _combined(ca.OP_SUB, operands))
         # Equality and logical operations on numbers change their values only at isolated times.
         is_rounding = op in (ca.OP_FLOOR, ca.OP_CEIL)
-        return self._add(op, given, first if is_rounding else None, whole=is_rounding)
+        return self._add(op, operands, first if is_rounding else None, whole=is_rounding)
 
     def _towards_zero(self, quotient: _Node, count: _Node) -> _Node:
         negative = self._add(ca.OP_LT, [count, _constant(0.0)], None)
@@ -240,17 +240,17 @@ class _Walk:
         return _combined(ca.OP_ADD, [count, _combined(ca.OP_MUL, [negative, fraction])])
 
     def _add(
-        self, op: int, given: list[_Node], argument: _Node | None, *, whole: bool = False
+        self, op: int, operands: list[_Node], argument: _Node | None, *, whole: bool = False
     ) -> _Node:
-        """Store a switch with the value op(given), and return its value."""
+        """Store a switch with the value op(operands), and return its value."""
         symbol = ca.SX.sym("state")
-        timed = any(node.timed for node in given)
-        value = _applied(op, *(node.now for node in given))
+        timed = any(node.timed for node in operands)
+        value = _applied(op, *(node.now for node in operands))
         if timed:
             value = ca.substitute(value, self._t, self._within)
         g = argument.stated if timed and argument is not None else None
-        written = _applied(op, *(node.written for node in given))
-        level = max(node.level for node in given) + (g is not None)
+        written = _applied(op, *(node.written for node in operands))
+        level = max(node.level for node in operands) + (g is not None)
         self.switches.append(Switch(symbol, value, g, whole, level, written))
         return _Node(value, level=level, stated=symbol, written=written)
 
@@ -260,21 +260,21 @@ def _constant(value: float) -> _Node:
     return _Node(number, level=0, stated=number, written=number)
 
 
-def _combined(op: int, given: list[_Node]) -> _Node:
+def _combined(op: int, operands: list[_Node]) -> _Node:
     """Return the result of an operation on nodes that depend on time and numbers only."""
     return _Node(
-        _applied(op, *(node.now for node in given)),
-        timed=any(node.timed for node in given),
-        level=max(node.level for node in given),
-        stated=_applied(op, *(node.stated for node in given)),
-        written=_applied(op, *(node.written for node in given)),
+        _applied(op, *(node.now for node in operands)),
+        timed=any(node.timed for node in operands),
+        level=max(node.level for node in operands),
+        stated=_applied(op, *(node.stated for node in operands)),
+        written=_applied(op, *(node.written for node in operands)),
     )
 
 
-def _applied(op: int, *given: ca.SX) -> ca.SX:
+def _applied(op: int, *operands: ca.SX) -> ca.SX:
     """Return the result of a CasADi operation."""
-    operation = ca.SX.unary if len(given) == 1 else ca.SX.binary
-    return operation(op, *given)
+    operation = ca.SX.unary if len(operands) == 1 else ca.SX.binary
+    return operation(op, *operands)
 
 
 MOST_TIMES = 100_000  # largest number of switches of all runs that are prepared together
@@ -521,10 +521,8 @@ class SwitchTimes:
         first = tables.size if tables.signals else 0
         self.used = [k for k in used if k >= first]
         self._of_tables = [k for k in used if k < first]
-        used_numbers, segments = (
-            [numbers[k] for k in self.used],
-            [numbers[k] for k in self._of_tables],
-        )
+        used_numbers = [numbers[k] for k in self.used]
+        segments = [numbers[k] for k in self._of_tables]
         self._states = VectorProgram([within, *segments, *used_numbers], [s.value for s in states])
         self._symbols, self._time, self._numbers = [s.state for s in states], t, used_numbers
         # Tables within an argument select their segment by `within`, too.

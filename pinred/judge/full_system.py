@@ -31,7 +31,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from ..forces.force_values import FunctionBuffers
+from ..forces.force_numbers import FunctionBuffers
 from ..system.loops.kinematics import LoopKinematics
 from ..system.loops.loop_assembly import assemble, loop_length
 from ..system.singular_mass_matrix import SingularShapes, singular_shapes

@@ -21,7 +21,7 @@ import numpy as np
 from ..common.machine_code import NativeCode
 from ..lie.rotations import conjugate, quaternion_product
 from ..reduction.tree.scalars import as_column, as_scalars, solve_ldl
-from ..system.loops.looped_system import loop_jacobian, loop_kinematics, loop_values
+from ..system.loops.kinematics import loop_jacobian, loop_kinematics, loop_values
 from .build import build_kernel
 from .derived_code import derived_code
 from .kernel import Kernel

@@ -1,7 +1,7 @@
 """Loads and closed loops by Pinocchio, for the validation of kernels and for the judge.
 
-The generalised forces τ = Jᵀ (F, N) of wrenches on links validate forces/link_wrenches.py, with
-which they share no formula.
+The generalised forces τ = Jᵀ (F, N) of wrenches on links validate
+forces/generalized_forces.py, with which they share no formula.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..reduction.tree.loop_constraints import GAUGE_RATE
-from ..system.loops.looped_system import loop_jacobian, loop_jacobian_rate
+from ..system.loops.kinematics import loop_jacobian, loop_jacobian_rate
 from ..system.system import System
 
 if TYPE_CHECKING:

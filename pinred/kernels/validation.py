@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from ..common.arrays import Array
 from ..common.errors import InputError, KernelMismatch, ModelError
-from ..forces.force_values import ForceInputs
+from ..forces.force_numbers import ForceInputs
 from ..lie.rotations import conjugate, quaternion_product
 from ..reduction.potential import translations
 from ..reduction.tree.loop_constraints import GAUGE_RATE
 from ..system.joints import axes_of
-from ..system.loops.looped_system import loop_jacobian_rate
+from ..system.loops.kinematics import loop_jacobian_rate
 from ..system.system import ill_scaled
 from .pinocchio_terms import LoadsByPinocchio, closed_solver, impetus_terms
 from .reference_state import ReferenceState, random_state

@@ -10,12 +10,11 @@ from ..common.errors import InputError
 from ..common.names import listed
 from ..forces.controller import Controller
 from ..forces.force import Force
-from ..system.ball_forces import BallSpring
-from ..system.passive import Damper, Friction, Spring
+from ..system.passive import BallSpring, Damper, Friction, Spring
 from ..system.system import System
 
 if TYPE_CHECKING:
-    from ..forces.actuation import Control
+    from ..forces.controller import Control
 
 
 def check_passive(passive: Any, friction: Any) -> tuple[bool, float | None]:
@@ -95,7 +94,7 @@ def actuation(system: System, controls: Mapping[str, Control] | Controller) -> t
         system: System with the actuators of its file.
         controls: Checked controls of the scene.
     """
-    from ..forces.actuation import Actuation
+    from ..forces.controller import Actuation
 
     if isinstance(controls, Controller):
         return (controls,)

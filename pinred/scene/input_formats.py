@@ -23,8 +23,7 @@ from ..common.arrays import Array, as_floats, entries_of, positive, read_only, v
 from ..common.errors import InputError, PinredError, ShapeError
 from ..common.names import brief, listed, nearest, one_of, quoted
 from ..common.parameter import Parameter, VectorParameter, refuse_entry
-from ..forces.actuation import Control
-from ..forces.controller import Controller
+from ..forces.controller import Control, Controller
 from ..forces.force import Force
 from ..forces.signals import Attitude, Constant, Expression, Signal
 from ..forces.signals.attitude_signal import parse_attitude

@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike
 from ..common.argument_kinds import checks_arguments
 from ..common.default_marker import Default
 from ..common.parameter import Parameter
-from ..forces.actuation import Control
-from ..forces.controller import Controller
+from ..forces.controller import Control, Controller
 from ..forces.force import Force
 from ..forces.signals import Attitude, Signal
 from ..integrators.methods import METHODS, Method, options_of

@@ -19,9 +19,8 @@ from ..common.names import brief, listed, nearest, quoted
 from ..system.loops.kinematics import on_surfaces
 from ..system.loops.loop import BallSurface, Constraint, JointPolynomial
 from ..system.merge_hinges import LIMITS as LIMITS_OF_HINGES
-from ..system.stated_limits import angles_of_balls, limits_of
+from ..system.passive import UNLIMITED, angles_of_balls, limits_of
 from ..system.system import System
-from ..system.urdf_elements import UNLIMITED
 from .toml.schema import ByName, Either, Key, ListOf, Table, Text
 from .toml.signal_tables import NUMBER, POSITIVE
 

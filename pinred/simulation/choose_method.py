@@ -20,7 +20,7 @@ from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
 from ..common.memo import once
 from ..forces.force_model import ForceModel
-from ..forces.force_values import BaseInSpace, ForceInputs
+from ..forces.force_numbers import BaseInSpace, ForceInputs
 from ..integrators.methods import DOP853, DOP853_LEAST, AdaptiveGauss, Method, Radau
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..reduction.tree.body_frames import bodies_of

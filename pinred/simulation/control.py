@@ -18,7 +18,7 @@ from ..common.arrays import Array, read_only
 from ..common.errors import InputError
 from ..common.names import brief
 from ..forces.columns import Vector
-from ..forces.force_values import BaseInSpace
+from ..forces.force_numbers import BaseInSpace
 from ..forces.switch_times import time_within
 from ..scene.scene import Scene
 from ..system.force_interface import SeenState

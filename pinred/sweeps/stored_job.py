@@ -24,8 +24,14 @@ _SIGNATURE = 32  # bytes of the HMAC-SHA256 of the sweep and the scene, at the s
 _MOST_BYTES = 2**30  # largest accepted size of the file [bytes]
 # Former modules of stored classes, by which older stores name them.
 _MOVED = {
+    "pinred.forces.ball_control": "pinred.forces.kinds",
+    "pinred.forces.signals.formulas": "pinred.forces.signals.signal",
+    "pinred.forces.signals.tabulated": "pinred.forces.signals.signal",
+    "pinred.forces.wrench": "pinred.forces.kinds",
     "pinred.system.actuator": "pinred.system.robot_file_contents",
+    "pinred.system.ball_forces": "pinred.system.passive",
     "pinred.system.elementary_joints": "pinred.system.joints",
+    "pinred.system.loops.looped_system": "pinred.system.loops.kinematics",
     "pinred.system.shape_space": "pinred.system.coordinates",
     "pinred.system.visuals": "pinred.system.robot_files",
 }

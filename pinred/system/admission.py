@@ -8,8 +8,6 @@ singular at isolated shapes, cause warnings (`doubts`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pinocchio as pin
 
@@ -30,20 +28,6 @@ WORKSPACE_BYTES = 33.0
 _HUGE = 1e100  # largest accepted mass, moment or length [kg, kg m², m]; larger products overflow
 # A flat body satisfies the triangle inequality with equality, up to this relative round-off.
 _TRIANGLE_SLACK = 1e-9
-
-
-@dataclass(frozen=True)
-class Admission:
-    """The symmetry group of an admitted model, and warnings about the model.
-
-    Attributes:
-        group: Symmetry group.
-        doubts: Warnings, one sentence each, about inertias that no real body has and about
-            shapes at which the mass matrix is singular.
-    """
-
-    group: Group
-    doubts: tuple[str, ...]
 
 
 def check_joints(model: pin.Model) -> None:
@@ -72,7 +56,7 @@ def check_joints(model: pin.Model) -> None:
 
 def admit(
     model: pin.Model, coupled: Coupled | None = None, doubts: tuple[str, ...] | None = None
-) -> Admission:
+) -> tuple[Group, tuple[str, ...]]:
     """Check that a model can be reduced; return its symmetry group and warnings.
 
     Args:
@@ -80,7 +64,8 @@ def admit(
         coupled: Dependence of follower joints on independent joints; None without followers.
         doubts: Warnings, if they are known; the inertias are then not examined.
     Returns:
-        Symmetry group and warnings.
+        Symmetry group; and warnings, one sentence each, about inertias that no real body has and
+        about shapes at which the mass matrix is singular.
     Raises:
         ModelError: pinred cannot reduce the model.  The message names the joint or link at
             fault and a remedy.
@@ -89,7 +74,7 @@ def admit(
     for i in range(1, model.njoints):
         _admit_geometry(model, i)
     _admit_numbers(model, group)
-    return Admission(group, _check_inertias(model, coupled) if doubts is None else doubts)
+    return group, _check_inertias(model, coupled) if doubts is None else doubts
 
 
 def _root_group(model: pin.Model) -> Group:

@@ -24,14 +24,13 @@ from .force_interface import Force
 from .joints import axes_of, is_ball, root_joint
 from .loops.kinematics import find_frame
 from .loops.loop import Constraint, Loop
-from .rebuild import ModelBuilder
+from .rebuild import RATE_LIMITS, ModelBuilder
 from .robot_file_contents import Actuator, Contents, Coupling, Derivation, LeftOut, Origin
 from .system import System
 
 _FIXED_FRAMES = (pin.FrameType.FIXED_JOINT, pin.FrameType.JOINT)
 _SAME_INERTIA = 1e-9  # largest relative difference of a body from the sum of its links
 _IN_GROUP = 1e-9  # largest part of a unit twist outside the group that counts as round-off
-_RATE_LIMITS = ("lowerVelocityLimit", "upperVelocityLimit", "lowerEffortLimit", "upperEffortLimit")
 
 
 def link_frame(system: System, name: str, what: str) -> int:
@@ -221,8 +220,8 @@ class Assembly:
         model = builder.finish()
         for joint, limits in rates:
             entries = slice(model.joints[joint].idx_v, model.joints[joint].idx_v + len(limits[0]))
-            for kind, values in zip(_RATE_LIMITS, limits, strict=True):
-                getattr(model, kind)[entries] = values
+            for limit, values in zip(RATE_LIMITS, limits, strict=True):
+                getattr(model, limit)[entries] = values
         return model
 
 
@@ -234,8 +233,8 @@ def _add_link(
     if link.inertia.mass != 0.0 or np.any(link.inertia.inertia):
         model.appendBodyToJoint(joint, link.inertia, at)
     number = model.addFrame(pin.Frame(name, joint, above, at, pin.FrameType.BODY), False)
-    for frame, kind, placement in link.frames:
-        model.addFrame(pin.Frame(frame, joint, number, at * placement, kind), False)
+    for frame, frame_type, placement in link.frames:
+        model.addFrame(pin.Frame(frame, joint, number, at * placement, frame_type), False)
     return int(number)
 
 
@@ -278,7 +277,7 @@ def _take_apart(system: System) -> Assembly:
             under.places[above].actInv(model.jointPlacements[j]), body.places[body.main], joint,
             model.armature[v].copy(),
             np.array([model.lowerPositionLimit[q], model.upperPositionLimit[q]]),
-            np.array([getattr(model, kind)[v] for kind in _RATE_LIMITS]), pin.FrameType.JOINT,
+            np.array([getattr(model, limit)[v] for limit in RATE_LIMITS]), pin.FrameType.JOINT,
         ))  # fmt: skip
         edges += body.fixed
     places = {n: (j, at) for j, body in enumerate(bodies, 1) for n, at in body.places.items()}

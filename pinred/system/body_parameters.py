@@ -187,10 +187,8 @@ def link_inertias(model: pin.Model) -> dict[str, pin.Inertia]:
     Pinocchio keeps the inertia of a link that is fixed to another in the frame of the fixed joint.
     Where no link is fixed to another, the inertia belongs to the joint, and no link is stated.
     """
-    inertias, moments = (
-        dict[str, pin.Inertia](),
-        [moments_of(inertia) for inertia in model.inertias],
-    )
+    inertias = dict[str, pin.Inertia]()
+    moments = [moments_of(inertia) for inertia in model.inertias]
     moving, carrying = dict[int, list[str]](), set[int]()
     for frame in model.frames:
         joint = int(frame.parentJoint)

@@ -235,12 +235,7 @@ def pair(a: System, b: System, *, prefix: str, name: str = "") -> System:
         is_last = k == len(names) - 1
         below = B.root.link if is_last else f"{joint_name}_link"
         to = A.root.at.actInv(B.root.at) * B.root.to if is_last else pin.SE3.Identity()
-        nq, nv = joint.nq, joint.nv
-        edges.append(Edge(
-            joint_name, above, below, at, to, joint, np.zeros(nv),
-            np.outer([-np.inf, np.inf], np.ones(nq)),
-            np.outer([-np.inf, np.inf, -np.inf, np.inf], np.ones(nv)), pin.FrameType.JOINT,
-        ))  # fmt: skip
+        edges.append(_free_edge(joint_name, above, below, at, to, joint))
         if not is_last:
             links[below] = Link(pin.Inertia.Zero())
         above, at = below, pin.SE3.Identity()
@@ -255,6 +250,16 @@ def pair(a: System, b: System, *, prefix: str, name: str = "") -> System:
             _closed(a, A, A) | _closed(b, B, B, prefix),
         ),
     )  # fmt: skip
+
+
+def _free_edge(
+    name: str, above: str, below: str, at: pin.SE3, to: pin.SE3, joint: pin.JointModel
+) -> Edge:
+    """Return a joint without armature and limits between two links."""
+    free, unbounded = np.outer([-np.inf, np.inf], np.ones(joint.nq)), [-np.inf, np.inf] * 2
+    rates = np.outer(unbounded, np.ones(joint.nv))
+    frame = pin.FrameType.JOINT
+    return Edge(name, above, below, at, to, joint, np.zeros(joint.nv), free, rates, frame)
 
 
 def _closed(system: System, old: Assembly, new: Assembly, prefix: str = "") -> dict[str, Array]:
@@ -419,15 +424,11 @@ def stand(
         )
         links |= {entry: Link(pin.Inertia.Zero()) for entry in inner}
         root_link = inner[1]
-        free = np.outer([-np.inf, np.inf], np.ones(1))
-        rates = np.outer([-np.inf, np.inf, -np.inf, np.inf], np.ones(1))
-        identity, kind = pin.SE3.Identity(), pin.FrameType.JOINT
+        here, on_link = pin.SE3.Identity(), base.actInv(contact) * to
         edges += [
-            Edge(names[0], inner[1], inner[0], identity, identity, pin.JointModelRX(), np.zeros(1),
-                 free, rates, kind),
-            Edge(names[1], inner[0], link, identity, base.actInv(contact) * to, pin.JointModelRY(),
-                 np.zeros(1), free, rates, kind),
-        ]  # fmt: skip
+            _free_edge(names[0], inner[1], inner[0], here, here, pin.JointModelRX()),
+            _free_edge(names[1], inner[0], link, here, on_link, pin.JointModelRY()),
+        ]
         to = pin.SE3.Identity()
     root = Root(_unused("contact", taken), joint, root_link, base, to, np.zeros(joint.nv))
     standing = Assembly(links, tuple(edges), root, assembly.gravity)
@@ -506,7 +507,6 @@ class Transfer:
         edges = {edge.below: edge for edge in self._assembly.directed()}
         self._slots = {joint.name: joint for joint in new.space.joints}
         self._base: int | None = None  # number of the system that has the same root
-        self._prefixes = tuple(prefixes)
         # For each system: its joint, that of the new system, and whether it is a reversed ball.
         self._same: list[list[tuple[PlacedJoint, PlacedJoint, bool]]] = []
         links, previous_edges = set[str](), set[str]()

@@ -29,12 +29,12 @@ from ..common.errors import LoadError
 from ..common.names import listed, plain_path, quoted
 from ..common.optional_packages import optional_package
 from .joints import axes_of, joint_kind
+from .passive import UNLIMITED
 from .read_sdf import INSTALL, SdfRobot, drake_warnings, read_sdf
 from .read_urdf import read_urdf, with_other_joints
 from .rebuild import NewJoint, rebuild
 from .robot_files import outermost, read_text
 from .sdf_document import read_document
-from .urdf_elements import UNLIMITED
 
 _SAME = 1e-9  # largest difference of equal numbers, relative to the largest of their kind
 _SHAPES = 3  # number of configurations at which mass matrices are compared

@@ -6,7 +6,7 @@ import difflib
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -31,7 +31,6 @@ from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
 from ..lie.spatial_groups import SE3
 from .body_parameters import link_inertias
-from .constant_loops import with_constant_loops
 from .coordinates import InitialState
 from .coupling import ties_of, with_followers
 from .independent_reader import second_reading
@@ -51,6 +50,7 @@ from .locked_joints import (
     lock_values,
     separate_attitudes,
 )
+from .loops.independent_joints import with_constant_loops
 from .loops.kinematics import loop_ends
 from .loops.loop import (
     HEAVY_GROUND,
@@ -61,15 +61,15 @@ from .loops.loop import (
     parse_loops,
     requested_loops,
 )
-from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls, unlocked_balls
+from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls
 from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
-from .passive import Spring, passive_contents
+from .passive import passive_contents, stated_limits
 from .read_sdf import read_sdf
-from .read_urdf import UrdfRobot, read_urdf
+from .read_urdf import FileRobot, read_urdf
 from .rebuild import rebuild, split_joints, with_joint_types, without_mimics
 from .robot_description import Model
-from .robot_file_contents import Contents, Coupling, LeftOut, Origin
+from .robot_file_contents import Contents, Origin
 from .robot_files import (
     INSTALL_ROBOTS,
     Visuals,
@@ -86,7 +86,6 @@ from .robot_files import (
     text_in_file,
     with_visuals,
 )
-from .stated_limits import stated_limits
 from .system import System, checked_gravity
 from .urdf_elements import mimic_couplings
 from .urdf_words import left_out_words
@@ -105,48 +104,18 @@ class _Robot:
     """A robot before its joints are locked and its root is chosen.
 
     Attributes:
-        raw: Model with all joints.
-        couplings: Couplings of its joints.
+        file: The robot as its file or model describes it.
         name: Name of the robot.
         origin: File or name that was loaded, if any.
         group: Requested or catalogued symmetry group, if any.
         initial: Generic initial state, if any.
-        warning: Warning about the text of the file, or "".
-        springs: Springs at joints.
-        loops: Loops that the file closes; their frames are in the model.
-        left_out: Words and actions of the file that are left out.
-        links: Inertia of each link with mass, in its own frame.
-        lines: Lines of the joints that close loops, by name.
-        fixed: Names of the links with mass that the file fixes to the world.
     """
 
-    raw: pin.Model
-    couplings: tuple[Coupling, ...]
+    file: FileRobot
     name: str
     origin: Origin | None
     group: Group | None
     initial: InitialState | None = None
-    warning: str = ""
-    springs: tuple[Spring, ...] = ()
-    loops: tuple[Loop, ...] = ()
-    left_out: tuple[LeftOut, ...] = ()
-    links: Mapping[str, pin.Inertia] = field(default_factory=dict)
-    lines: Mapping[str, str] = field(default_factory=dict)
-    fixed: tuple[str, ...] = ()
-
-
-def _of_urdf(
-    urdf: UrdfRobot,
-    name: str,
-    origin: Origin,
-    group: Group | None,
-    initial: InitialState | None = None,
-) -> _Robot:
-    """Return the robot in a URDF file; the other arguments are those of _Robot."""
-    return _Robot(
-        urdf.model, urdf.couplings, name, origin, group, initial, urdf.warning, urdf.springs,
-        urdf.loops, urdf.left_out, urdf.links, urdf.lines, urdf.fixed,
-    )  # fmt: skip
 
 
 @checks_arguments
@@ -226,11 +195,8 @@ def load(
     if not (root is None or isinstance(root, str)):
         raise InputError(f"root must be the name of a body, got {brief(root)}")
     new_gravity = None if gravity is None else checked_gravity(gravity)
-    locked, merged, added = (
-        lock_values(lock),
-        requested_balls(balls),
-        requested_loops(loops, source),
-    )
+    locked, merged = lock_values(lock), requested_balls(balls)
+    added = requested_loops(loops, source)
     folders = mesh_folders(meshes)
     with (
         text_in_file(text) if text is not None else nullcontext(source) as place,
@@ -383,8 +349,8 @@ def _read(
 ) -> _Robot:
     """Read a robot from a name, a URDF or SDF file or a model; see `load` for the arguments."""
     if isinstance(source, pin.Model):
-        plain = without_mimics(source)
-        return _Robot(*plain, source.name, None, group, links=link_inertias(source))
+        described = FileRobot(*without_mimics(source), inertias=link_inertias(source))
+        return _Robot(described, source.name, None, group)
     name = str(source)
     origin = Origin(name, locked, meshes=folders)
     if (robot := bundled_robots().get(name)) is not None:
@@ -395,28 +361,14 @@ def _read(
         if not locked and group.name == robot.group:
             x, xdot, xi = (np.array(robot.initial[k], dtype=float) for k in ("x", "xdot", "xi"))
             initial = InitialState(x, xdot, xi, float(robot.initial["duration"]))
-        return _of_urdf(urdf, name, origin, group, initial)
+        return _Robot(urdf, name, origin, group, initial)
     if _is_sdf(source):
         origin = replace(origin, source=str(Path(source).absolute()), root=root)
-        sdf = read_sdf(Path(source), folders, root)
-        return _Robot(
-            sdf.model,
-            sdf.couplings,
-            Path(source).stem,
-            origin,
-            group,
-            warning=sdf.warning,
-            springs=sdf.springs,
-            loops=sdf.loops,
-            left_out=sdf.left_out,
-            links=sdf.inertias,
-            lines=sdf.lines,
-            fixed=sdf.fixed,
-        )
+        return _Robot(read_sdf(Path(source), folders, root), Path(source).stem, origin, group)
     if is_path(name):
         origin = replace(origin, source=str(Path(source).absolute()))
-        return _of_urdf(read_urdf(Path(source)), Path(source).stem, origin, group)
-    return _of_urdf(_example_model(name), name, origin, group)
+        return _Robot(read_urdf(Path(source)), Path(source).stem, origin, group)
+    return _Robot(_example_model(name), name, origin, group)
 
 
 def _load_model(
@@ -428,18 +380,16 @@ def _load_model(
     loops: LoopFile,
 ) -> System:
     """Lock and merge joints of a robot, choose its root joint, and return its system."""
-    lock = {**dict.fromkeys(loops.fixed, 0.0), **lock}
-    split = split_joints(with_joint_types(robot.raw, loops))
+    lock, file = {**dict.fromkeys(loops.fixed, 0.0), **lock}, robot.file
+    split = split_joints(with_joint_types(file.model, loops))
     names = list(split.model.names)
-    all_couplings = (*robot.couplings, *split.couplings)
-    requested = split.locked(lock)
-    lock = locked_hinges(split.model, balls, requested)
-    balls = unlocked_balls(split.model, balls, requested)
+    all_couplings = (*file.couplings, *split.couplings)
+    lock, balls = locked_hinges(split.model, balls, split.locked(lock))
     ball_names = [n for i, n in enumerate(names) if i and is_ball(split.model.joints[i])]
     values, attitudes = separate_attitudes(lock, ball_names, names)
     locked, couplings = with_followers(values, all_couplings, names)
     hinges = [n for n in names[1:] if split.model.joints[split.model.getJointId(n)].nv == 1]
-    forces = passive_contents(split.model, hinges, locked, (), robot.springs).passive
+    forces = passive_contents(split.model, hinges, locked, (), file.springs).passive
     kept = {*locked, *coupled_joints(couplings)}
     merge = merge_of(split.model, balls, passive=forces, kept=kept)
     raw = merge.model(split.model)
@@ -455,22 +405,22 @@ def _load_model(
             raw, locked, ties, places, str(model.names[1]), several, attitudes, shared
         )
     shape = merge.with_hinges(list(model.names)[2:])
-    passive = passive_contents(split.model, shape, locked, split.sliding, robot.springs)
+    passive = passive_contents(split.model, shape, locked, split.sliding, file.springs)
     contents = replace(
         passive,
         left_out=(
-            *robot.left_out,
+            *file.left_out,
             *passive.left_out,
             *merge.left_out(forces),
             *merge.limits(split.model),
-            *stated_limits(robot.raw, locked=split.whole(locked), merged=merge.hinges),
+            *stated_limits(file.model, locked=split.whole(locked), merged=merge.hinges),
         ),
         passive=merge.forces(passive.passive),
-        links=robot.links,
+        links=file.inertias,
         visuals=visuals,
-        warnings=(*([robot.warning] if robot.warning else []), *merge.warnings(split.model)),
+        warnings=(*([file.warning] if file.warning else []), *merge.warnings(split.model)),
         couplings=couplings,
-        freed="" if _root_group(bare, chain) else "".join(robot.fixed[:1]),
+        freed="" if _root_group(bare, chain) else "".join(file.fixed[:1]),
         locked=locked_joints,
         merged=merge.triples,
         loops=parse_loops((*_moving_loops(robot, model, loops.loops), *loops.loops)),
@@ -508,14 +458,14 @@ def _moving_loops(
     """
     names = {loop.name for loop in requested}
     stated = [_points(model, loop) for loop in requested if isinstance(loop, Loop)]
-    for loop in robot.loops:
+    for loop in robot.file.loops:
         points = _points(model, loop)
         joints = {joint for joint, _ in points}
         if loop.name in names or len(joints) == 1 or any(_same_points(points, p) for p in stated):
             continue
         if 0 in joints:
             raise ModelError(
-                f"joint {quoted(loop.name)}{robot.lines.get(loop.name, '')} of "
+                f"joint {quoted(loop.name)}{robot.file.lines.get(loop.name, '')} of "
                 f"{quoted(robot.name)} closes a loop through the world, so the base cannot move "
                 "freely, which breaks the symmetry; remove it, lock the joints of the loop, fix a "
                 "link with mass to the world, which carries the others and is then the root link, "
@@ -597,7 +547,7 @@ def _root_group(raw: pin.Model, chain: RootChain | None) -> Group | None:
     return group if anchored and carries_all else None
 
 
-def _example_model(name: str) -> UrdfRobot:
+def _example_model(name: str) -> FileRobot:
     """Return a robot of example-robot-data, with rotor armature.
 
     Raises:
@@ -613,16 +563,16 @@ def _example_model(name: str) -> UrdfRobot:
         )
     robot = example_robot(name)
     if robot.build is None:
-        urdf = read_urdf(robot.urdf)
+        described: FileRobot = read_urdf(robot.urdf)
     else:
         root = read_xml(robot.urdf)
         model, couplings = without_mimics(robot.build().robot.model)
         if not couplings:
             candidates = mimic_couplings(root)
             couplings = tuple(c for c in candidates if model.existJointName(c.follower))
-        urdf = UrdfRobot(model, couplings, left_out=left_out_words(root))
+        described = FileRobot(model, couplings, left_out=left_out_words(root))
     if robot.rotors is not None:
-        model = urdf.model
+        model = described.model
         pin.loadRotorParameters(model, str(robot.rotors), False)
         model.armature = model.rotorInertia * model.rotorGearRatio**2
-    return urdf
+    return described

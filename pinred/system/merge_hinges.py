@@ -274,7 +274,7 @@ def _named(raw: pin.Model, triples: Sequence[HingeTriple], name: str) -> HingeTr
 
 def locked_hinges(
     raw: pin.Model, balls: bool | tuple[str, ...], lock: Mapping[str, LockValue]
-) -> dict[str, LockValue]:
+) -> tuple[dict[str, LockValue], bool | tuple[str, ...]]:
     """Replace each ball to lock by its hinges, which then stay hinges.
 
     A value for a hinge takes precedence over that of its ball.
@@ -284,18 +284,19 @@ def locked_hinges(
         balls: See `merge_of`.
         lock: Values of joints or balls to lock.
     Returns:
-        Values of joints of `raw` to lock.
+        Values of joints of `raw` to lock, and `balls` without the names of balls that are locked.
     Raises:
         InputError: A ball has a number other than zero.
     """
     if balls is False:
-        return dict(lock)
+        return dict(lock), balls
+    names = list(raw.names)
     triples = {triple.name: triple for triple in hinge_triples(raw) if not triple.why_not}
     values: dict[str, LockValue] = {}
     hinges: dict[str, LockValue] = {}
     for name, value in lock.items():
         # A ball may have the name of its first hinge, which a number then locks.
-        is_joint = name in list(raw.names) and not isinstance(value, tuple)
+        is_joint = name in names and not isinstance(value, tuple)
         if is_joint or name not in triples:
             values[name] = value
             continue
@@ -304,19 +305,6 @@ def locked_hinges(
         # The identity has the angles zero, without round-off.
         angles = triple.angles(attitude) if attitude[:3].any() else np.zeros(3)
         hinges |= dict(zip(triple.hinges, angles.tolist(), strict=True))
-    return hinges | values
-
-
-def unlocked_balls(
-    raw: pin.Model, balls: bool | tuple[str, ...], lock: Collection[str]
-) -> bool | tuple[str, ...]:
-    """Return the option balls of `load` without the names of balls that are locked.
-
-    Args:
-        raw: Model with the hinges.
-        balls: See `merge_of`.
-        lock: Names of joints or balls to lock.
-    """
-    if isinstance(balls, bool):
-        return balls
-    return tuple(name for name in balls if name not in lock or name in list(raw.names))
+    if not isinstance(balls, bool):
+        balls = tuple(name for name in balls if name not in lock or name in names)
+    return hinges | values, balls

@@ -1,4 +1,4 @@
-"""The program of the child process that reads mesh files; see `mesh_files`.
+"""The program of the child process that reads mesh files; see `urdf_shapes`.
 
 It is run as a file by an isolated interpreter and imports nothing of pinred, so that it starts
 fast.  Its input is one JSON object.  Its output is `READY`, then a record for each mesh: a header

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -25,9 +25,17 @@ from ..common.names import listed, nearest, plain_path, quoted
 from ..common.optional_packages import install_command, optional_package
 from .loops.loop import Loop
 from .passive import Spring
+from .read_urdf import FileRobot
 from .rebuild import PRISMATIC, REVOLUTE, ModelBuilder, joint_along
 from .robot_file_contents import Coupling, LeftOut
-from .sdf_document import JOINT_TYPES, Axis, BallConstraint, JointWords, SdfDocument, read_document
+from .sdf_document import (
+    Axis,
+    BallConstraint,
+    JointWords,
+    SdfDocument,
+    read_document,
+    unread_type,
+)
 from .sdf_words import CONTACT
 
 INSTALL = install_command("sdf")
@@ -44,39 +52,21 @@ Key: TypeAlias = tuple[str, str]  # name of a model and of a link or joint in it
 
 
 @dataclass(frozen=True, eq=False)
-class SdfRobot:
+class SdfRobot(FileRobot):
     """A robot in an SDF file.
 
     Attributes:
-        model: Model with the root joint of the file; without one, its first body is fixed.
-        springs: Springs at joints.
-        warning: Warning about parts of the file that are not read as written, or "".
-        couplings: Couplings of its joints.
-        loops: Loops that joints with a second parent link, and points that coincide, close.
-        left_out: Actions in the file that are not simulated.
         joints: Model and name in the file of each joint.
         links: Model and name in the file of each link.
         base: Name of the link that carries the others; "" if the world carries several.
-        fixed: Names of the links that the file fixes to the world.
-        inertias: Inertia of each link with mass, in its own frame.
-        lines: Lines of the joints that close loops, such as " (line 7)", by name.
         added: Moment that the copy for Drake has in addition, and trace of the moments without
             it [kg m²], by model and name of the link.
     """
 
-    model: pin.Model
-    springs: tuple[Spring, ...]
-    warning: str
-    couplings: tuple[Coupling, ...]
-    loops: tuple[Loop, ...]
-    left_out: tuple[LeftOut, ...]
-    joints: Mapping[str, Key]
-    links: Mapping[str, Key]
-    base: str
-    fixed: tuple[str, ...]
-    inertias: Mapping[str, pin.Inertia]
-    lines: Mapping[str, str]
-    added: Mapping[Key, tuple[float, float]]
+    joints: Mapping[str, Key] = field(default_factory=dict)
+    links: Mapping[str, Key] = field(default_factory=dict)
+    base: str = ""
+    added: Mapping[Key, tuple[float, float]] = field(default_factory=dict)
 
 
 def read_sdf(path: Path, folders: Sequence[str] = (), root: str | None = None) -> SdfRobot:
@@ -452,10 +442,8 @@ class _Tree:
         """Add a body at a placement on a joint."""
         model = self._builder.model
         added, trace = self._assembly.document.added.get(self._assembly.link(body), (0.0, None))
-        name, inertia = (
-            self._link(body),
-            _inertia(self._plant.get_body(_index("Body", body)), added),
-        )
+        name = self._link(body)
+        inertia = _inertia(self._plant.get_body(_index("Body", body)), added)
         moments, arm = np.trace(inertia.inertia), np.sum(inertia.lever**2)
         size = abs(moments) + inertia.mass * arm + added
         if trace is not None and abs(moments - trace) > _SAME_MOMENTS * size:
@@ -494,11 +482,11 @@ class _Tree:
     def _add_joint(self, joint: Any, carrier: int, at: pin.SE3, is_reversed: bool) -> int:
         """Add a joint with its armature, limits, damping and friction; return its index."""
         name, axes = self._name(joint), self._assembly.words(joint).axes
-        kind = joint.type_name()
+        type_name = joint.type_name()
         pinocchio_joint, nv = self._pinocchio_joint(joint, is_reversed), joint.num_velocities()
         # The numbers of a ball joint stand on its first axis.
         numbers = [axes[k] if k < len(axes) else Axis() for k in range(nv)]
-        if kind == "ball_rpy":
+        if type_name == "ball_rpy":
             numbers = [axes[0] if axes else Axis()] * nv
         limits = None
         if pinocchio_joint.nq == nv and self._assembly.words(joint).type != "continuous":
@@ -509,14 +497,14 @@ class _Tree:
         )
         self._builder.model.addJointFrame(index)
         damping = [axis.damping for axis in numbers]
-        if kind == "planar":
+        if type_name == "planar":
             damping = list(joint.default_damping_vector())
         self._losses.append(np.array([damping, [axis.friction for axis in numbers]]))
         self._most.append(
             np.array([[axis.velocity for axis in numbers], [axis.effort for axis in numbers]])
         )
-        if kind != "ball_rpy":
-            suffixes = _PARTS.get(kind, ("",) * nv)
+        if type_name != "ball_rpy":
+            suffixes = _PARTS.get(type_name, ("",) * nv)
             self.springs += tuple(
                 Spring(f"{name}{suffix}", axis.stiffness, axis.rest)
                 for axis, suffix in zip(numbers, suffixes, strict=True)
@@ -551,14 +539,11 @@ class _Tree:
             return pin.JointModelUniversal(*np.eye(3)[:2])
         if type_name == "planar":
             return pin.JointModelPlanar()
-        raise ModelError(
-            f"{self._where(joint)}: joint {quoted(self._name(joint))} is of type {type_name}, "
-            f"which pinred does not read from SDF; use {JOINT_TYPES}"
-        )
+        raise ModelError(f"{self._where(joint)}: {unread_type(self._name(joint), type_name)}")
 
     def _close(self, joint: Any) -> None:
         """Add the loop that a joint closes."""
-        name, kind = self._name(joint), joint.type_name()
+        name, type_name = self._name(joint), joint.type_name()
         words = self._assembly.words(joint)
         parent, child = _ends(joint)
         if not self._can_cut(joint):
@@ -579,9 +564,9 @@ class _Tree:
             what = "limits of joints that close loops"
             self._left_out.setdefault(what, []).append(name)
         turn, between = pin.SE3.Identity(), pin.SE3.Identity()
-        if kind == "revolute":
+        if type_name == "revolute":
             turn.rotation = _turn_to(np.array(joint.revolute_axis()))
-        elif kind == "weld":
+        elif type_name == "weld":
             between = _pose(joint.X_FM())
         ends = [
             self._add_frame(
@@ -591,7 +576,7 @@ class _Tree:
         ]
         if words.where:
             self.lines[name] = f" ({words.where})"
-        self.loops.append(Loop(ends[0], ends[1], _CUT[kind], name))  # type: ignore[arg-type]
+        self.loops.append(Loop(ends[0], ends[1], _CUT[type_name], name))  # type: ignore[arg-type]
 
     def _tie(self, constraint: BallConstraint) -> None:
         """Add the loop of two points that coincide."""
@@ -650,12 +635,12 @@ class _Tree:
 
     def _part(self, joint: Any, axis: int, where: str) -> str:
         """Return the name of the coordinate of an axis of a joint."""
-        name, kind = self._name(joint), joint.type_name()
-        suffixes = _PARTS.get(kind, ("",) if joint.num_velocities() == 1 else ())
+        name, type_name = self._name(joint), joint.type_name()
+        suffixes = _PARTS.get(type_name, ("",) if joint.num_velocities() == 1 else ())
         if axis >= len(suffixes):
             raise ModelError(
-                f"{where}: <mimic> of {quoted(name)}: axis {axis + 1} of a {kind} joint has no "
-                "coordinate of its own; use revolute or prismatic joints"
+                f"{where}: <mimic> of {quoted(name)}: axis {axis + 1} of a {type_name} joint has "
+                "no coordinate of its own; use revolute or prismatic joints"
             )
         return f"{name}{suffixes[axis]}"
 

@@ -34,13 +34,13 @@ from ..common.arrays import Array
 from ..common.errors import LoadError, ModelError
 from ..common.names import listed, nearest, plain, plain_path, quoted
 from .loops.loop import HEAVY_GROUND, Loop, LoopKind
-from .passive import Spring
+from .passive import UNLIMITED, Spring
 from .rebuild import NewJoint, copy_losses, rebuild
 from .robot_file_contents import Coupling, LeftOut
 from .robot_files import library_output, place, read_xml
 from .urdf_elements import (
-    UNLIMITED,
     WORLD,
+    axis_of,
     check_urdf,
     file_frames,
     file_springs,
@@ -56,6 +56,7 @@ from .urdf_elements import (
     rotor_inertias,
     special_joints,
     tree_depth,
+    unit_vector,
 )
 from .urdf_words import LOOPS, SPRINGS, left_out_words
 
@@ -242,7 +243,7 @@ def _second_joints(robot: Element) -> tuple[list[ClosingJoint], list[str], list[
             ClosingJoint(
                 name, line, joint.get("type", ""), (parent.get("link", "?"), link),
                 first=origin_of(joint.find("origin"), f"joint {quoted(name)}"),
-                axis=_axis(joint.find("axis"), name),
+                axis=axis_of(joint.find("axis"), name),
             )
         )  # fmt: skip
     return joints, losses, limits
@@ -289,7 +290,7 @@ def _loop_joints(robot: Element) -> list[ClosingJoint]:
                 name, line, joint.get("type", ""),
                 (first.get("link", "?"), second.get("link", "?")),
                 origin_of(second, f"joint {quoted(name)}"),
-                origin_of(first, f"joint {quoted(name)}"), _axis(joint.find("axis"), name),
+                origin_of(first, f"joint {quoted(name)}"), axis_of(joint.find("axis"), name),
             )
         )  # fmt: skip
     return joints
@@ -333,7 +334,7 @@ def _gazebo_joints(robot: Element) -> list[ClosingJoint]:
             frame = _MODEL[0] if in_model in ("1", "true") else xyz.get("expressed_in", "")
             vector = floats(xyz, "", f"the axis of joint {quoted(name)}", 3)
             closing = ClosingJoint(
-                **{**vars(closing), "axis": _unit(vector, name), "axis_in": frame}
+                **{**vars(closing), "axis": unit_vector(vector, name), "axis_in": frame}
             )
         links_of_file = {link.get("name") for link in robot.findall("link")}
         for key in ("relative_to", "axis_in"):
@@ -380,19 +381,6 @@ def _link_of(element: Element) -> str:
     return element.get("link", element.text or "").strip()
 
 
-def _axis(element: Element | None, owner: str) -> Array:
-    """Return a unit axis, (3,); x by default, as in URDF."""
-    if element is None:
-        return np.array([1.0, 0.0, 0.0])
-    return _unit(floats(element, "xyz", f"the axis of joint {quoted(owner)}", 3), owner)
-
-
-def _unit(axis: Array, owner: str) -> Array:
-    if not axis.any():
-        raise ModelError(f"the axis of joint {quoted(owner)} is zero; state a direction")
-    return np.asarray(axis / np.linalg.norm(axis))
-
-
 T = TypeVar("T")
 
 # Message of the URDF parser: one line with the error, and one with a position in its C++ source.
@@ -405,20 +393,19 @@ _MOST_LINKS = 20_000  # largest accepted number of links, because the parser rec
 
 
 @dataclass(frozen=True, eq=False)
-class UrdfRobot:
-    """A robot in a URDF file.
+class FileRobot:
+    """A robot as its URDF or SDF file, or a pin.Model, describes it.
 
     Attributes:
-        model: Model with the root joint of the file.
+        model: Model with all joints and the root joint of the file.
         couplings: Couplings of joints that follow others.
         springs: Springs at joints.
         loops: Closed loops; their frames are in the model.
-        left_out: Words of the file that are left out.
-        warning: Warning about the text of the file, or "".
-        special: Joints that Pinocchio's parser does not read, by name.
-        links: Inertia of each link with mass, in its own frame.
+        left_out: Words and actions of the file that are left out.
+        warning: Warning about parts of the file that are not read as written, or "".
+        inertias: Inertia of each link with mass, in its own frame.
         lines: Lines of the joints that close loops, such as " (line 7)", by name.
-        fixed: Names of the links with mass that the file fixes to a link `world` without mass.
+        fixed: Names of the links with mass that the file fixes to the world.
     """
 
     model: pin.Model
@@ -427,10 +414,20 @@ class UrdfRobot:
     loops: tuple[Loop, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
     warning: str = ""
-    special: Mapping[str, NewJoint] = field(default_factory=dict)
-    links: Mapping[str, pin.Inertia] = field(default_factory=dict)
+    inertias: Mapping[str, pin.Inertia] = field(default_factory=dict)
     lines: Mapping[str, str] = field(default_factory=dict)
     fixed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfRobot(FileRobot):
+    """A robot in a URDF file.
+
+    Attributes:
+        special: Joints that Pinocchio's parser does not read, by name.
+    """
+
+    special: Mapping[str, NewJoint] = field(default_factory=dict)
 
 
 def read_urdf(path: Path) -> UrdfRobot:
@@ -474,8 +471,8 @@ def read_urdf(path: Path) -> UrdfRobot:
     left_out = (*left_out, *beyond, *more, *rotors)
     lines = {joint.name: joint.line for joint in closing}
     return UrdfRobot(
-        model, couplings, springs, loops, left_out, warning, special, inertias, lines,
-        _fixed_links(model, inertias),
+        model, couplings, springs, loops, left_out, warning, inertias, lines,
+        _fixed_links(model, inertias), special,
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ neither function.
 
 Joints with several degrees of freedom are split into hinges, slides and balls when a model is
 loaded, if their motion can be carried out by these parts, one after the other.  This is exact: the
-massless bodies between the parts add no inertia.  A new type is one more entry of `JOINT_TYPES`.
+massless bodies between the parts add no inertia.  A new type is one more entry of `TYPES`.
 
 Pinocchio's derivatives of the mass matrix are wrong for joints whose axes vary with q within the
 joint (Universal, SphericalZYX, and composites).  These joints never reach them.
@@ -33,7 +33,7 @@ from .robot_file_contents import Coupling
 # Prismatic joints along x, y and z, which are faster than the last one, for an arbitrary axis.
 PRISMATIC = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ, pin.JointModelPrismaticUnaligned)
 REVOLUTE = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelRevoluteUnaligned)
-_RATE_LIMITS = ("lowerVelocityLimit", "upperVelocityLimit", "lowerEffortLimit", "upperEffortLimit")
+RATE_LIMITS = ("lowerVelocityLimit", "upperVelocityLimit", "lowerEffortLimit", "upperEffortLimit")
 _HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 _ALIGNED = 1e-9  # largest deviation of a unit axis from x, y or z that counts as round-off
 
@@ -106,11 +106,11 @@ class NewJoint:
 
 
 @dataclass(frozen=True)
-class _Carrier:
-    """The joint of the new model that moves a body of the old model, and the body's placement."""
+class Carrier:
+    """The joint of a model that moves a body (0 is the world), and the body's placement on it."""
 
     joint: int
-    placement: pin.SE3
+    at: pin.SE3
 
 
 def rebuild(
@@ -149,23 +149,23 @@ def rebuild(
         base = builder.add_joint(0, root, at, _unused_name(raw, chain), armature=armature)
         model.addJointFrame(base)
     copied: dict[int, int] = {}  # {joint of the old model: joint of the new model}
-    carriers = {0: _Carrier(base if chain is None else 0, pin.SE3.Identity())}
+    carriers = {0: Carrier(base if chain is None else 0, pin.SE3.Identity())}
     model.inertias[base] += raw.inertias[0]
     on_root = {} if chain is None else places_on_root(raw, chain)
     for i in order or range(1, raw.njoints):
         under, joint = carriers[raw.parents[i]], raw.joints[i]
-        at = under.placement * raw.jointPlacements[i]
+        at = under.at * raw.jointPlacements[i]
         qs = slice(joint.idx_q, joint.idx_q + joint.nq)
         if chain is not None and i <= chain.last:
-            carrier = _Carrier(base, on_root[str(raw.names[i])])
+            carrier = Carrier(base, on_root[str(raw.names[i])])
         elif i in frozen:
             q[qs] = frozen[i]
             motion = joint.createData()
             joint.calc(motion, q)
-            carrier = _Carrier(under.joint, at * motion.M)
+            carrier = Carrier(under.joint, at * motion.M)
         elif i in replaced:
             body = replaced[i][-1].body
-            carrier = _Carrier(
+            carrier = Carrier(
                 _add_chain(builder, under.joint, at, replaced[i]),
                 pin.SE3.Identity() if body is None else body,
             )
@@ -178,8 +178,8 @@ def rebuild(
                 armature=raw.armature[joint.idx_v : joint.idx_v + joint.nv],
                 limits=[raw.lowerPositionLimit[qs], raw.upperPositionLimit[qs]],
             )
-            carrier, copied[i] = _Carrier(k, pin.SE3.Identity()), k
-        model.appendBodyToJoint(carrier.joint, raw.inertias[i], carrier.placement)
+            carrier, copied[i] = Carrier(k, pin.SE3.Identity()), k
+        model.appendBodyToJoint(carrier.joint, raw.inertias[i], carrier.at)
         carriers[i] = carrier
     numbers = {0: 0}  # {frame of the old model: frame of the new model}
     for number, frame in enumerate(raw.frames):
@@ -188,14 +188,14 @@ def rebuild(
             numbers[number] = above
             continue
         on = carriers[frame.parentJoint]
-        at = on.placement * frame.placement
+        at = on.at * frame.placement
         numbers[number] = model.addFrame(
             pin.Frame(frame.name, on.joint, above, at, frame.type), False
         )
     model = builder.finish()
     for i, k in copied.items():
         old, new = raw.joints[i], model.joints[k]
-        for kind in _RATE_LIMITS:
+        for kind in RATE_LIMITS:
             limits = getattr(raw, kind)[old.idx_v : old.idx_v + old.nv]
             getattr(model, kind)[new.idx_v : new.idx_v + new.nv] = limits
     return model
@@ -315,22 +315,6 @@ class Part:
     rotated: bool = False
 
 
-@dataclass(frozen=True)
-class JointType:
-    """A kind of joints, and the hinges, slides and balls of which they consist.
-
-    Attributes:
-        name: Name of the type.
-        kinds: Pinocchio's names of the joints, without "JointModel".
-        parts: Function that returns the parts of a joint, from the parent to the child.  The
-            coordinates of independent parts are, in this order, those of the joint.
-    """
-
-    name: str
-    kinds: tuple[str, ...]
-    parts: Callable[[pin.JointModel], tuple[Part, ...]]
-
-
 def part(
     suffix: str, joint: pin.JointModel, ratio: float | None = None, *, rotated: bool = False
 ) -> Part:
@@ -345,43 +329,6 @@ def part(
         The part.
     """
     return Part(suffix, joint, pin.SE3.Identity(), ratio, rotated)
-
-
-def _euler_angles(_: pin.JointModel) -> tuple[Part, ...]:
-    """Return yaw about z, pitch about y and roll about x."""
-    return (
-        part("yaw", pin.JointModelRZ()),
-        part("pitch", pin.JointModelRY()),
-        part("roll", pin.JointModelRX()),
-    )
-
-
-def _free(_: pin.JointModel) -> tuple[Part, ...]:
-    """Return slides along x, y and z, then a ball.
-
-    The linear velocity of Pinocchio's joint has components in the axes of the child.  The rates of
-    the slides are components in the axes of the parent.  The ball has the quaternion and the
-    angular velocity of the joint.
-    """
-    return (
-        part("x", pin.JointModelPX(), rotated=True),
-        part("y", pin.JointModelPY(), rotated=True),
-        part("z", pin.JointModelPZ(), rotated=True),
-        part("ball", pin.JointModelSpherical()),
-    )
-
-
-def _planar(_: pin.JointModel) -> tuple[Part, ...]:
-    """Return slides along x and y, then a hinge about z.
-
-    The linear velocity of Pinocchio's joint has components in the axes of the child.  The rates of
-    the slides are components in the axes of the parent.
-    """
-    return (
-        part("x", pin.JointModelPX(), rotated=True),
-        part("y", pin.JointModelPY(), rotated=True),
-        part("turn", pin.JointModelRUBZ()),
-    )
 
 
 _ALONG_AXES = {
@@ -405,12 +352,6 @@ def _screw(joint: pin.JointModel) -> tuple[Part, ...]:
     return part("", hinge), part("slide", slide, float(screw.pitch))
 
 
-def _translation(_: pin.JointModel) -> tuple[Part, ...]:
-    """Return slides along x, y and z."""
-    slides = (pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ())
-    return tuple(part(suffix, slide) for suffix, slide in zip("xyz", slides, strict=True))
-
-
 def _universal(joint: pin.JointModel) -> tuple[Part, ...]:
     """Return two hinges, the second of which is carried by the first."""
     universal = joint.extract()
@@ -418,18 +359,29 @@ def _universal(joint: pin.JointModel) -> tuple[Part, ...]:
     return tuple(part(suffix, hinge) for suffix, hinge in zip("12", hinges, strict=True))
 
 
-JOINT_TYPES = (
-    JointType("Euler angles", ("SphericalZYX",), _euler_angles),
-    JointType("free", ("FreeFlyer",), _free),
-    JointType("planar", ("Planar",), _planar),
-    JointType("screw", ("HX", "HY", "HZ", "HelicalUnaligned"), _screw),
-    JointType("translation", ("Translation",), _translation),
-    JointType("universal", ("Universal",), _universal),
+# The linear velocity of Pinocchio's free and planar joints has components in the axes of the child.
+# The rates of these slides are components in the axes of the parent.
+_TURNED = (
+    part("x", pin.JointModelPX(), rotated=True),
+    part("y", pin.JointModelPY(), rotated=True),
+    part("z", pin.JointModelPZ(), rotated=True),
 )
-
-
-# Joint types by Pinocchio's names of their joints.
-TYPES = {kind: joint_type for joint_type in JOINT_TYPES for kind in joint_type.kinds}
+# The hinges, slides and balls of joints, by Pinocchio's names without "JointModel": from the parent
+# to the child, or a function that returns them.  The coordinates of independent parts are, in this
+# order, those of the joint.
+TYPES: Mapping[str, tuple[Part, ...] | Callable[[pin.JointModel], tuple[Part, ...]]] = {
+    "SphericalZYX": (
+        part("yaw", pin.JointModelRZ()),
+        part("pitch", pin.JointModelRY()),
+        part("roll", pin.JointModelRX()),
+    ),
+    # The ball has the quaternion and the angular velocity of the free joint.
+    "FreeFlyer": (*_TURNED, part("ball", pin.JointModelSpherical())),
+    "Planar": (*_TURNED[:2], part("turn", pin.JointModelRUBZ())),
+    "Translation": tuple(replace(slide, rotated=False) for slide in _TURNED),
+    "Universal": _universal,
+    **dict.fromkeys(("HX", "HY", "HZ", "HelicalUnaligned"), _screw),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -548,12 +500,13 @@ def _parts_of(joint: pin.JointModel) -> tuple[Part, ...] | None:
     """Return the simple joints of a joint; None if its motion is not a product of them."""
     name = str(joint.shortname()).removeprefix("JointModel")
     if name in TYPES:
-        return TYPES[name].parts(joint)
+        parts = TYPES[name]
+        return parts(joint) if callable(parts) else parts
     if is_shape_joint(joint):
         return (Part("", joint, pin.SE3.Identity()),)
     if name != "Composite":
         return None
-    composite, parts = joint.extract(), list[Part]()
+    composite, joined = joint.extract(), list[Part]()
     places = composite.jointPlacements
     for k, (component, place) in enumerate(zip(composite.joints, places, strict=True), start=1):
         inner = _parts_of(component)
@@ -562,8 +515,8 @@ def _parts_of(joint: pin.JointModel) -> tuple[Part, ...] | None:
         for j, part in enumerate(inner):
             suffix = f"{k}.{part.suffix}" if part.suffix else str(k)
             placement = place * part.placement if j == 0 else part.placement
-            parts.append(replace(part, suffix=suffix, placement=placement))
-    return tuple(parts)
+            joined.append(replace(part, suffix=suffix, placement=placement))
+    return tuple(joined)
 
 
 def _check_rotated(raw: pin.Model, i: int, parts: Sequence[_SplitPart]) -> None:

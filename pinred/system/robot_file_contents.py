@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import partial
 from types import MappingProxyType
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import pinocchio as pin
 
@@ -85,9 +86,6 @@ class Actuator:
             if limits is not None
         ]
         return ", ".join([f"{self.name}: {self.kind} at {self.joint}, gear {gear}", *limits])
-
-
-LimitKind: TypeAlias = Literal["position", "rate", "effort"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,23 +199,6 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class StatedLimit:
-    """A limit of one joint in the robot's file.
-
-    Attributes:
-        joint: Name of the joint.
-        kind: "position", "rate" or "effort".
-        lower: Lowest value [rad | m | rad/s | m/s | N·m | N].
-        upper: Highest value.
-    """
-
-    joint: str
-    kind: LimitKind
-    lower: float
-    upper: float
-
-
-@dataclass(frozen=True)
 class Contents:
     """Contents of a robot file other than bodies and joints.
 
@@ -243,7 +224,7 @@ class Contents:
     left_out: tuple[LeftOut, ...] = ()
     passive: tuple[Force, ...] = ()
     actuators: tuple[Actuator, ...] = ()
-    keyframes: Mapping[str, Keyframe] = field(default_factory=lambda: MappingProxyType({}))
+    keyframes: Mapping[str, Keyframe] = field(default_factory=partial(MappingProxyType, {}))
     couplings: tuple[Coupling, ...] = ()
     freed: str = ""
     warnings: tuple[str, ...] = ()
@@ -252,7 +233,7 @@ class Contents:
     merged: tuple[HingeTriple, ...] = ()
     loops: tuple[Constraint, ...] = ()
     coupled_loops: tuple[Constraint, ...] = ()
-    links: Mapping[str, pin.Inertia] = field(default_factory=lambda: MappingProxyType({}))
+    links: Mapping[str, pin.Inertia] = field(default_factory=partial(MappingProxyType, {}))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only views of mappings cannot be pickled.

@@ -12,8 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NoReturn
-from xml.etree.ElementTree import Element
-from xml.sax.saxutils import escape, quoteattr
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
@@ -21,9 +20,16 @@ from ..common.arrays import Array
 from ..common.errors import LoadError, ModelError, PinredError
 from ..common.names import plain, plain_path, quoted
 from . import sdf_words
-from .model_search import NEWEST, find_file, version_of
-from .robot_files import FileElement, line_of, read_xml
-from .sdf_inertia import added_moment
+from .robot_files import (
+    NEWEST,
+    element_on_line,
+    find_file,
+    line_of,
+    read_xml,
+    version_of,
+    whole_copy,
+    xml_text,
+)
 from .sdf_words import TABLES, Use, Word
 
 _MOST_ELEMENTS = 1_000_000  # largest accepted number of elements in all files together
@@ -39,8 +45,11 @@ _AXES = {  # axes that each type of joint needs
     "universal": ("axis", "axis2"),
     **dict.fromkeys(_WITHOUT_AXIS, ()),
 }
-JOINT_TYPES = "revolute, continuous, prismatic, universal, screw, ball, planar or fixed joints"
+_TYPES = "revolute, continuous, prismatic, universal, screw, ball, planar or fixed joints"
 _TRUE = ("true", "1")
+# SDF's defaults of moments of inertia [kg m²].
+_MOMENTS = {"ixx": 1.0, "ixy": 0.0, "ixz": 0.0, "iyy": 1.0, "iyz": 0.0, "izz": 1.0}
+_ROUND_OFF = 1e-9  # relative margin of the triangle inequality
 _NAMED = ("link", "joint", "frame", "model", "drake:joint")  # elements that messages name
 _REMEDIES = (  # remedies by words of Drake's messages
     ("not found in|not match|unable to find", "name a link, joint, frame or model that exists"),
@@ -331,7 +340,7 @@ class _Reader:
         self.document.copies.append("")
         self.document.paths.append(path)
         copy = self._copy(root, "sdf", place, include)
-        self.document.copies[number] = _text(copy)
+        self.document.copies[number] = xml_text(copy)
         return number
 
     def _copy(
@@ -341,7 +350,7 @@ class _Reader:
         words = TABLES[table]
         if table in ("link", "joint"):
             place = replace(place, owner=element.get("name", ""))
-        copy = _element(element.tag, element, element.text or "")
+        copy = element_on_line(element.tag, element, element.text or "")
         for key, value in element.attrib.items():
             word = words.get(f"@{key}", words.get(f"@{sdf_words.ANY}"))
             if _is_outdated(f"@{key}", place):
@@ -349,7 +358,8 @@ class _Reader:
             if word is not None and word.drake:
                 copy.set(key, value)
             elif word is None and not key.startswith(sdf_words.NAMESPACES):
-                self._unknown(f"attribute {key} of <{plain(element.tag)}>", element, place)
+                name = f"attribute {key} of <{plain(element.tag)}>"
+                self._report(sdf_words.UNKNOWN, name, element, place)
         tags = set[str]()
         for child in element:
             word = words.get(child.tag, words.get(sdf_words.ANY))
@@ -360,7 +370,8 @@ class _Reader:
             if _is_outdated(child.tag, place):
                 word = _if_stated(child.text or "")
             if word is None:
-                self._unknown(f"<{plain(child.tag)}> in <{plain(element.tag)}>", child, place)
+                name = f"<{plain(child.tag)}> in <{plain(element.tag)}>"
+                self._report(sdf_words.UNKNOWN, name, child, place)
             elif word.use is Use.REFUSED:
                 place.fail(child, f"<{child.tag}> is not supported; {word.kind}", ModelError)
             elif word.use is Use.LEFT_OUT:
@@ -378,19 +389,16 @@ class _Reader:
         include: _Include | None,
     ) -> None:
         """Read an element, and add its copy to the copy of its parent if Drake gets it."""
+        readers = {
+            "world": self._world, "link": self._link, "joint": self._joint,
+            "drake:joint": self._drake_joint,
+        }  # fmt: skip
         if word.table == "model":
             self._add_model(child, copy, place, include)
-        elif word.table == "world":
-            copy.append(self._world(child, place))
         elif word.table == "include":
             self._add_include(child, copy, place)
-        elif word.table == "link":
-            copy.append(self._link(child, place))
-        elif word.table == "joint":
-            copy.append(self._joint(child, place))
-        elif word.table == "drake:joint":
-            self._drake_joint(child, place)
-            copy.append(self._copy(child, word.table, place))
+        elif word.table in readers:
+            copy.append(readers[word.table](child, place))
         elif word.table == "drake:ball_constraint":
             self._constraint(child, place)
         else:
@@ -413,16 +421,12 @@ class _Reader:
     ) -> None:
         """Read a model; `include` is the <include> of its file, if any."""
         name, static = model.get("name", ""), _is_true(model.findtext("static"))
-        inside = replace(place, model=place.inside(name), static=place.static or static)
-        if include is not None and include.merges:
-            inside = replace(place, model=place.model, static=place.static)
-        elif include is not None:
+        if include is not None:
+            name = include.name or name
             static = static if include.static is None else include.static
-            inside = replace(
-                place,
-                model=place.inside(include.name or name),
-                static=place.static or static,
-            )
+        inside = place
+        if include is None or not include.merges:
+            inside = replace(place, model=place.inside(name), static=place.static or static)
         if inside.model in self._models and inside.model != place.model:
             shown = f"a second model is called {quoted(inside.model.rpartition('::')[2])}; "
             if include is not None:
@@ -454,10 +458,9 @@ class _Reader:
                 return
             more = "; or load one robot without it, by root=" if copy.tag == "world" else ""
             place.fail(element, f"{shown}: {path}{more}")
-        chain = place.chain
-        if path.resolve() in chain:
+        if path.resolve() in place.chain:
             place.fail(element, f"{shown}: the file includes itself; remove the <include>")
-        if len(chain) > _DEEPEST:
+        if len(place.chain) > _DEEPEST:
             place.fail(element, f"{shown}: more than {_DEEPEST} files include each other")
         if path.suffix.lower() in (".urdf", ".mjcf"):
             place.fail(
@@ -469,7 +472,7 @@ class _Reader:
         number = self.read(path, include)
         inside = self._copy(element, "include", place)
         if number is not None:
-            inside.append(_element("uri", element, f"file://{_HERE}/{number}.sdf"))
+            inside.append(element_on_line("uri", element, f"file://{_HERE}/{number}.sdf"))
             copy.append(inside)
 
     def _find(self, uri: str, place: _Place) -> Path | str:
@@ -490,11 +493,9 @@ class _Reader:
         if inertial is not None and _is_true(inertial.get("auto")):
             self._add_shapes(shapes, copy, place)
         elif inertial is not None:
-            owner = replace(place, owner=key[1])
             try:
-                self.document.added[key] = added_moment(
-                    inertial, copy, lambda e: float(self._numbers(e, owner, 1)[0]), owner.fail
-                )
+                owner = replace(place, owner=key[1])
+                self.document.added[key] = self._added_moment(inertial, copy, owner)
             except LoadError:
                 if not place.static:
                     raise
@@ -503,14 +504,51 @@ class _Reader:
                 self._report("inertias that are not valid", key[1], inertial, place)
         return copy
 
+    def _added_moment(self, inertial: Element, copy: Element, place: _Place) -> tuple[float, float]:
+        """Add a multiple of the identity to moments that no rigid body has, in a copy of a link.
+
+        Drake would replace them, and the mass, by others.  What is added is the same in all axes,
+        and is subtracted from what Drake has read.
+
+        Returns:
+            The moment that is added to each diagonal entry, 0 for a rigid body, and the trace of
+            the moments without it [kg m²].
+        """
+        mass, owner = inertial.find("mass"), f"link {quoted(copy.get('name', ''))}"
+        kg = self._number(mass, place, 1.0)
+        values = {
+            key: self._number(inertial.find(f"inertia/{key}"), place, default)
+            for key, default in _MOMENTS.items()
+        }
+        if mass is not None and kg <= 0.0 and (kg < 0.0 or any(values.values())):
+            place.fail(
+                mass,
+                f"{owner} has mass {kg:g} and moments of inertia; state a positive mass, or zeros",
+            )
+        xx, xy, xz, yy, yz, zz = values.values()
+        moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if moments[0] + moments[1] >= (1.0 + _ROUND_OFF) * moments[2] or not moments.any():
+            return 0.0, xx + yy + zz
+        if moments[0] < -_ROUND_OFF * abs(moments[2]):
+            shown = ", ".join(f"{moment:g}" for moment in moments)
+            place.fail(
+                inertial,
+                f"{owner} has principal moments of inertia {shown}; all must be positive or 0",
+            )
+        added = 4.0 * float(np.abs(moments).max())
+        element = _child(_child(copy, "inertial"), "inertia")
+        for key in ("ixx", "iyy", "izz"):
+            _child(element, key).text = repr(values[key] + added)
+        return added, xx + yy + zz
+
     def _add_shapes(self, shapes: Sequence[Element], copy: Element, place: _Place) -> None:
         """Add the shapes from which the inertia of a link follows."""
         for shape in shapes:
-            added = _element("collision", shape)
+            added = element_on_line("collision", shape)
             added.set("name", shape.get("name", ""))
             for child in shape:
                 if child.tag in sdf_words.SHAPE:
-                    added.append(_whole(child))
+                    added.append(whole_copy(child))
             for uri in added.iterfind("geometry/mesh/uri"):
                 path = self._find((uri.text or "").strip(), place)
                 if isinstance(path, str):
@@ -521,11 +559,11 @@ class _Reader:
     def _joint(self, joint: Element, place: _Place) -> Element:
         """Read a joint.  In a static model it is fixed."""
         copy, key = self._copy(joint, "joint", place), (place.model, joint.get("name", ""))
-        kind, where = joint.get("type", ""), place.line(joint)
+        joint_type, where = joint.get("type", ""), place.line(joint)
         elements = [joint.find("axis"), joint.find("axis2")]
         if place.static:
             copy.set("type", "fixed")
-            kind = "fixed"
+            joint_type = "fixed"
         else:
             self._check_type(joint, place)
         if place.version < _UNIQUE and place.taken.count(key[1]) > 1:
@@ -534,66 +572,57 @@ class _Reader:
                 name += "_"
             copy.set("name", name)
             self.document.renamed[place.model, name] = key[1]
-        if kind == "screw":
+        if joint_type == "screw":
             copy.set("type", "revolute")  # Drake does not tell the axis of a screw
         axes = tuple(
-            self._axis(axis, place) for axis in elements if axis is not None and kind != "fixed"
+            self._axis(axis, place)
+            for axis in elements
+            if axis is not None and joint_type != "fixed"
         )
-        mimics = () if kind == "fixed" else tuple(self._mimics(joint, elements, place))
+        mimics = () if joint_type == "fixed" else tuple(self._mimics(joint, elements, place))
         for k, axis in enumerate(list(copy.findall("axis") + copy.findall("axis2"))):
-            if kind in _WITHOUT_AXIS or (k and kind in _WITH_ACTUATOR):
+            if joint_type in _WITHOUT_AXIS or (k and joint_type in _WITH_ACTUATOR):
                 copy.remove(axis)
-            elif kind not in _WITH_ACTUATOR:
+            elif joint_type not in _WITH_ACTUATOR:
                 _without_actuator(axis)
-        if len(axes) > 1 and kind in _WITH_ACTUATOR:
+        if len(axes) > 1 and joint_type in _WITH_ACTUATOR:
             self._report("axes that a joint does not have", f"axis2 of {key[1]}", joint, place)
             axes = axes[:1]
-        if kind == "ball" and any(axis.stiffness for axis in axes):
+        if joint_type == "ball" and any(axis.stiffness for axis in axes):
             self._report("springs of ball joints", key[1], joint, place)
         if key in self.document.joints:
             place.fail(joint, f"a second joint is called {quoted(key[1])}; rename it")
-        pitch = self._pitch(joint, place) if kind == "screw" else 1.0
-        self.document.joints[key] = JointWords(kind, where, axes, mimics, pitch)
+        pitch = self._pitch(joint, place) if joint_type == "screw" else 1.0
+        self.document.joints[key] = JointWords(joint_type, where, axes, mimics, pitch)
         return copy
 
-    def _drake_joint(self, joint: Element, place: _Place) -> None:
+    def _drake_joint(self, joint: Element, place: _Place) -> Element:
         """Read a <drake:joint>."""
-        kind, name = joint.get("type", ""), joint.get("name", "")
-        if kind != "planar":
-            place.fail(
-                joint,
-                f"joint {quoted(name)} is of type {plain(kind) or '?'}, which pinred does not read "
-                f"from SDF; use {JOINT_TYPES}",
-                ModelError,
-            )
+        joint_type, name = joint.get("type", ""), joint.get("name", "")
+        if joint_type != "planar":
+            place.fail(joint, unread_type(name, joint_type), ModelError)
         for tag in ("drake:parent", "drake:child", "drake:damping"):
             if joint.find(tag) is None:
                 place.fail(joint, f"joint {quoted(name)} has no <{tag}>; add it")
-        self.document.joints[place.model, name] = JointWords(kind, place.line(joint))
+        self.document.joints[place.model, name] = JointWords(joint_type, place.line(joint))
+        return self._copy(joint, "drake:joint", place)
 
     @staticmethod
     def _check_type(joint: Element, place: _Place) -> None:
         """Reject a joint of another type, or without an axis."""
-        kind, name = joint.get("type", ""), quoted(joint.get("name", ""))
-        if kind not in _AXES:
-            place.fail(
-                joint,
-                f"joint {name} is of type {plain(kind) or '?'}, which pinred does not read from "
-                f"SDF; use {JOINT_TYPES}",
-                ModelError,
-            )
-        for tag in _AXES[kind]:
+        joint_type, name = joint.get("type", ""), joint.get("name", "")
+        if joint_type not in _AXES:
+            place.fail(joint, unread_type(name, joint_type), ModelError)
+        for tag in _AXES[joint_type]:
             if joint.find(tag) is None:
-                place.fail(joint, f"{kind} joint {name} has no <{tag}>; add it")
+                place.fail(joint, f"{joint_type} joint {quoted(name)} has no <{tag}>; add it")
 
     def _pitch(self, joint: Element, place: _Place) -> float:
         """Return the displacement of a screw joint per revolution [m]."""
         pitch, old = joint.find("screw_thread_pitch"), joint.find("thread_pitch")
-        if pitch is not None:
-            return float(self._numbers(pitch, place, 1)[0])
-        if old is None:
-            return 1.0
-        turns = float(self._numbers(old, place, 1)[0])
+        if pitch is not None or old is None:
+            return self._number(pitch, place, 1.0)
+        turns = self._number(old, place)
         if turns == 0.0:
             place.fail(old, "<thread_pitch> must not be zero")
         # Before version 1.10 the pitch is an angle per displacement, left-handed.
@@ -639,12 +668,8 @@ class _Reader:
         for k, axis in enumerate(axes):
             for mimic in () if axis is None else axis.findall("mimic"):
                 ratio, shift, zero = (
-                    default if element is None else float(self._numbers(element, place, 1)[0])
-                    for element, default in (
-                        (mimic.find("multiplier"), 1.0),
-                        (mimic.find("offset"), 0.0),
-                        (mimic.find("reference"), 0.0),
-                    )
+                    self._number(mimic.find(tag), place, default)
+                    for tag, default in (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
                 )
                 tag = mimic.get("axis", "axis")
                 if tag not in ("axis", "axis2"):
@@ -654,7 +679,7 @@ class _Reader:
                 yield Mimic(k, leader, int(tag == "axis2"), ratio, offset, where)
         for mimic in joint.findall("drake:mimic"):
             ratio, offset = (
-                float(self._numbers(_element(f"drake:mimic {key}", mimic, text), place, 1)[0])
+                self._number(element_on_line(f"drake:mimic {key}", mimic, text), place)
                 for key, text in (
                     ("multiplier", mimic.get("multiplier", "1")),
                     ("offset", mimic.get("offset", "0")),
@@ -684,6 +709,10 @@ class _Reader:
             BallConstraint(place.model, (links[0], links[1]), np.array(points), place.line(element))
         )
 
+    def _number(self, element: Element | None, place: _Place, default: float = 0.0) -> float:
+        """Return the number in an element; the default without an element."""
+        return default if element is None else float(self._numbers(element, place, 1)[0])
+
     def _numbers(self, element: Element, place: _Place, size: int, *, finite: bool = True) -> Array:
         """Return the numbers in an element."""
         words = (element.text or "").split()
@@ -693,10 +722,10 @@ class _Reader:
             values = np.empty(0)
         valid = np.isfinite(values).all() if finite else not np.isnan(values).any()
         if len(words) != size or len(values) != size or not valid:
-            kind = "finite number" if finite else "number"
+            expected = "finite number" if finite else "number"
             place.fail(
                 element,
-                f"<{plain(element.tag)}>: expected {size} {kind}{'s' * (size > 1)}, got "
+                f"<{plain(element.tag)}>: expected {size} {expected}{'s' * (size > 1)}, got "
                 f"{quoted(element.text or '')}",
             )
         return values
@@ -711,9 +740,6 @@ class _Reader:
             name = element.get("name") or element.get("filename") or "<plugin>"
         if kind:
             self._report(kind, name, element, place)
-
-    def _unknown(self, what: str, element: Element, place: _Place) -> None:
-        self._report(sdf_words.UNKNOWN, what, element, place)
 
     def _report(self, kind: str, name: str, element: Element, place: _Place) -> None:
         owner = f"{plain(place.owner)}: " if place.owner else ""
@@ -740,14 +766,18 @@ class _Include:
     merges: bool
 
 
+def unread_type(name: str, type_name: str) -> str:
+    """Return the error message about a joint of a type that is not read."""
+    shown = f"joint {quoted(name)} is of type {plain(type_name) or '?'}"
+    return f"{shown}, which pinred does not read from SDF; use {_TYPES}"
+
+
 def _without_actuator(axis: Element) -> None:
     """Set the effort of an axis to zero, so that Drake does not look for an actuator."""
-    limit = axis.find("limit")
-    if limit is not None:
+    if (limit := axis.find("limit")) is not None:
         axis.remove(limit)
-    limit = _element("limit", axis)
-    limit.append(_element("effort", axis, "0"))
-    axis.append(limit)
+    axis.append(element_on_line("limit", axis))
+    axis[-1].append(element_on_line("effort", axis, "0"))
 
 
 def _is_outdated(key: str, place: _Place) -> bool:
@@ -764,36 +794,6 @@ def _is_true(text: str | None) -> bool:
     return (text or "").strip().lower() in _TRUE
 
 
-def _element(tag: str, original: Element, text: str = "") -> Element:
-    """Return a new element on the line of another one."""
-    element = FileElement(tag)
-    element.line, element.text = line_of(original), text.strip().replace("\n", " ")
-    return element
-
-
-def _whole(element: Element) -> Element:
-    """Return a copy of an element with all its contents."""
-    copy = _element(element.tag, element, element.text or "")
-    copy.attrib.update(element.attrib)
-    for child in element:
-        copy.append(_whole(child))
-    return copy
-
-
-def _text(root: Element) -> str:
-    """Return an XML text whose elements have the lines of the file, for Drake's messages."""
-    pieces, line = list[str](), 1
-
-    def add(element: Element) -> None:
-        nonlocal line
-        if line_of(element) > line:
-            pieces.append("\n" * (line_of(element) - line))
-            line = line_of(element)
-        attributes = "".join(f" {key}={quoteattr(value)}" for key, value in element.items())
-        pieces.append(f"<{element.tag}{attributes}>{escape(element.text or '')}")
-        for child in element:
-            add(child)
-        pieces.append(f"</{element.tag}>")
-
-    add(root)
-    return "".join(pieces)
+def _child(element: Element, tag: str) -> Element:
+    child = element.find(tag)
+    return SubElement(element, tag) if child is None else child

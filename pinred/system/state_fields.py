@@ -17,15 +17,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
+from typing import Any, Literal, NoReturn, TypeVar
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays
 from ..common.errors import InputError
 from .system import System
-
-if TYPE_CHECKING:
-    pass
 
 Axis = Literal["shape", "joint", "twist", "coordinate", "nq", "nv"]
 Outcome = Literal["x", "xdot", "pose", "xi", "body_momentum", "spatial_momentum", "energy"]

@@ -37,9 +37,9 @@ from .coordinates import (
 from .coupling import Coupled, coupled, following
 from .force_interface import Force
 from .joints import axes_of
+from .loops.kinematics import Closure
 from .loops.loop import Constraint
 from .loops.loop_assembly import close_loops
-from .loops.looped_system import Closure
 from .rebuild import depth_first
 from .robot_file_contents import Actuator, Contents, Coupling, Keyframe, LeftOut, Origin
 
@@ -105,16 +105,16 @@ class System:
         couplings = coupled(tree, self.couplings, model.names[1])
         derivation = None if self.origin is None else self.origin.derivation
         known = None if derivation is None else derivation.doubts
-        admission = admit(model, couplings, known)
+        group, doubts = admit(model, couplings, known)
         vars(self).update(
             sorted_model=model,
-            group=admission.group,
+            group=group,
             space=tree if couplings is None else couplings.space,
             coupled=couplings,
-            doubts=admission.doubts,
+            doubts=doubts,
             tree=tree,
             _order=joint_order,
-            _map=coordinate_map(model, admission.group, tree),
+            _map=coordinate_map(model, group, tree),
         )
         if self.loops:
             vars(self)["closure"] = close_loops(self)

@@ -17,13 +17,12 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import ModelError
 from ..common.names import listed, nearest, quoted
-from .passive import Spring
+from .passive import UNLIMITED, Spring
 from .rebuild import NewJoint
 from .robot_file_contents import Coupling, LeftOut
 from .robot_files import FileElement, place
 from .urdf_words import SPRINGS, version_of
 
-UNLIMITED = 1.7e308  # position limit that represents infinity, because the parser cannot read "inf"
 _DIGITS = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
 _NUMBER = re.compile(_DIGITS, re.ASCII)
 _WITH_COMMAS = re.compile(rf"\s*{_DIGITS}(\s*,\s*{_DIGITS})+\s*", re.ASCII)
@@ -88,15 +87,17 @@ def prepare(robot: Element) -> None:
             raise ModelError(
                 f"{name}: 'universe' is Pinocchio's name of the fixed world; rename the joint"
             )
-        kind = joint.get("type", "").strip()
-        kind = _SAME_TYPES.get(kind, kind)
-        if kind not in _TYPES:
-            shown = f"the type {quoted(kind)}; replace it by" if kind else "no type; state"
+        joint_type = joint.get("type", "").strip()
+        joint_type = _SAME_TYPES.get(joint_type, joint_type)
+        if joint_type not in _TYPES:
+            shown = (
+                f"the type {quoted(joint_type)}; replace it by" if joint_type else "no type; state"
+            )
             raise ModelError(f"{name} has {shown} one of {listed(_TYPES, 20)}")
-        joint.set("type", kind)
+        joint.set("type", joint_type)
         if joint.tag == "drake:joint":
             joint.tag = "joint"
-            if kind == "planar" and joint.find("axis") is None:
+            if joint_type == "planar" and joint.find("axis") is None:
                 SubElement(joint, "axis", xyz="0 0 1")
         for mimic in joint.findall("drake:mimic"):
             mimic.tag = "mimic"
@@ -265,21 +266,24 @@ def special_joints(robot: Element) -> dict[str, NewJoint]:
     joints = {}
     identity = pin.SE3.Identity()
     for joint in moving_joints(robot):
-        name, kind = joint.get("name", "?"), joint.get("type")
-        if kind == "spherical":
+        name, joint_type = joint.get("name", "?"), joint.get("type")
+        axis = joint.find("axis")
+        if joint_type == "spherical":
             joints[name] = NewJoint(name, pin.JointModelSpherical(), identity)
-        elif kind == "universal":
+        elif joint_type == "universal":
             joints[name] = NewJoint(name, pin.JointModelUniversal(*np.eye(3)[:2]), identity)
-        elif kind == "screw":
+        elif joint_type == "screw":
             element, owner = joint.find("drake:screw_thread_pitch"), f"screw joint {quoted(name)}"
             if element is None:
                 raise ModelError(
                     f"{owner}{place(joint)} has no <drake:screw_thread_pitch value=…/>; add it"
                 )
             (pitch,) = floats(element, "value", f"the pitch of {owner}", 1)
-            screw = pin.JointModelHelicalUnaligned(_unit_axis(joint), float(pitch) / (2.0 * np.pi))
+            screw = pin.JointModelHelicalUnaligned(
+                axis_of(axis, name), float(pitch) / (2.0 * np.pi)
+            )
             joints[name] = NewJoint(name, screw, identity)
-        elif kind == "planar" and (turn := rotation_to(_unit_axis(joint))) is not None:
+        elif joint_type == "planar" and (turn := rotation_to(axis_of(axis, name))) is not None:
             joints[name] = NewJoint(
                 name, pin.JointModelPlanar(), pin.SE3(turn, np.zeros(3)),
                 body=pin.SE3(turn.T, np.zeros(3)),
@@ -296,13 +300,18 @@ def rotation_to(axis: Array) -> Array | None:
     return np.asarray(pin.Quaternion.FromTwoVectors(np.eye(3)[2], axis).matrix())
 
 
-def _unit_axis(joint: Element) -> Array:
-    """Return the axis of a joint, (3,); x by default, as in URDF."""
-    axis = joint.find("axis")
-    if axis is None:
+def axis_of(element: Element | None, joint: str) -> Array:
+    """Return the unit axis of a joint, (3,); x by default, as in URDF.  Raises ModelError."""
+    if element is None:
         return np.array([1.0, 0.0, 0.0])
-    values = floats(axis, "xyz", f"the axis of joint {quoted(joint.get('name', '?'))}", 3)
-    return np.asarray(values / np.linalg.norm(values))
+    return unit_vector(floats(element, "xyz", f"the axis of joint {quoted(joint)}", 3), joint)
+
+
+def unit_vector(axis: Array, joint: str) -> Array:
+    """Return the direction of the axis of a joint, (3,).  Raises ModelError if it is zero."""
+    if not axis.any():
+        raise ModelError(f"the axis of joint {quoted(joint)} is zero; state a direction")
+    return np.asarray(axis / np.linalg.norm(axis))
 
 
 def keep_numbers(robot: Element, model: pin.Model) -> None:
@@ -350,8 +359,8 @@ def file_frames(robot: Element, model: pin.Model) -> None:
                 f"{owner} on the link {quoted(link)}: expected a new name and a link of the robot"
             )
         body = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
-        at, kind = body.placement * origin_of(element, owner), pin.FrameType.OP_FRAME
-        model.addFrame(pin.Frame(name, body.parentJoint, 0, at, kind), False)
+        at, frame_type = body.placement * origin_of(element, owner), pin.FrameType.OP_FRAME
+        model.addFrame(pin.Frame(name, body.parentJoint, 0, at, frame_type), False)
 
 
 def origin_of(element: Element | None, owner: str) -> pin.SE3:
@@ -492,13 +501,13 @@ def reduced_text(robot: Element, *, shapes: bool = False) -> str:
         if shapes:
             target.extend(link.findall("visual"))
     for joint in robot.findall("joint"):
-        kind = joint.get("type", "")
+        joint_type = joint.get("type", "")
         target = SubElement(copied, "joint", {"name": joint.get("name", "")})
-        target.set("type", "floating" if kind in _REPLACED else kind)
+        target.set("type", "floating" if joint_type in _REPLACED else joint_type)
         _copy(joint, target, _JOINT)
         _copy_limit(robot, joint, target)
         dynamics = joint.find("dynamics")
-        if dynamics is not None and kind not in _MANY:
+        if dynamics is not None and joint_type not in _MANY:
             losses = {"damping": "0", "friction": "0"}  # The parser demands one of them.
             stated = {k: v for k, v in _trimmed(dynamics).items() if k in losses}
             SubElement(target, "dynamics", losses | stated)
@@ -513,10 +522,10 @@ def _copy(source: Element, target: Element, tags: tuple[str, ...]) -> None:
 
 def _copy_limit(robot: Element, joint: Element, target: Element) -> None:
     """Add the limits of a joint; numbers that state no limit become zero or `UNLIMITED`."""
-    limit, kind = joint.find("limit"), joint.get("type")
+    limit, joint_type = joint.find("limit"), joint.get("type")
     limits = {"effort": "0", "velocity": "0"}
     if limit is None:
-        if kind in _NEEDS_LIMITS:
+        if joint_type in _NEEDS_LIMITS:
             limits |= {"lower": f"-{UNLIMITED}", "upper": f"{UNLIMITED}"}
             SubElement(target, "limit", limits)
         return
@@ -525,7 +534,7 @@ def _copy_limit(robot: Element, joint: Element, target: Element) -> None:
         if key in limit.attrib:
             value = _any_float(limit, key, owner)
             limits[key] = limit.get(key, "").strip() if np.isfinite(value) else f"{sign}{UNLIMITED}"
-        elif version_of(robot) == 2 and kind in _NEEDS_LIMITS:
+        elif version_of(robot) == 2 and joint_type in _NEEDS_LIMITS:
             raise ModelError(
                 f"{owner}{place(limit)} lacks the attribute {key}, which URDF 1.2 demands; add it"
             )

@@ -15,8 +15,8 @@ import pinred
 from pinred.analysis.connections.loop_connection import ClosedPath
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, SingularInertiaError, UnsupportedOperationError
+from pinred.system.loops.independent_joints import loop_chart
 from pinred.system.loops.loop import Loop
-from pinred.system.loops.loop_chart import loop_chart
 
 ROBOTS: dict[str, Callable[[], tuple[pin.Model, list[Loop]]]] = {
     "five-bar": five_bar,

@@ -18,7 +18,7 @@ from pinred import signals
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, LeftOutWarning
 from pinred.forces import Controller
-from pinred.forces.force_values import BaseInSpace, ForceInputs
+from pinred.forces.force_numbers import BaseInSpace, ForceInputs
 from pinred.system.system import System
 
 mujoco = pytest.importorskip("mujoco")

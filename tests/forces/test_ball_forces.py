@@ -15,7 +15,7 @@ from pinred import InputError
 from pinred.common.arrays import Array
 from pinred.forces import PD, BallLimit, BallPD, BallSpring, Damper, Force, PotentialEnergy
 from pinred.forces.force_model import ForceModel
-from pinred.forces.force_values import ForceInputs
+from pinred.forces.force_numbers import ForceInputs
 from pinred.lie.rotations import quaternion_exp, rotation
 from pinred.signals import Attitude
 from pinred.system.system import System

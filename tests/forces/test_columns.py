@@ -11,7 +11,7 @@ from trees import random_model
 import pinred
 from pinred.forces.columns import Column, symbols_of, torque_column
 from pinred.forces.force import Terms
-from pinred.forces.force_values import Prescribed
+from pinred.forces.force_numbers import Prescribed
 from pinred.lie import GROUPS
 
 

@@ -56,6 +56,14 @@ def test_pulses_equal_closed_form(engine: Engine) -> None:
     np.testing.assert_allclose(traj.momentum_balance.residual, 0.0, atol=1e-10)
 
 
+def test_command_without_wrench_of_a_thruster_is_zero() -> None:
+    """A controller of wrenches may return a command without one, for a period without thrust."""
+    rest = Controller(lambda s: Command(), 0.5, wrench=True)
+    np.testing.assert_array_equal(rest.held(Command(), (), 6, 0.0).values, np.zeros(6))
+    traj = pinred.simulate(BRICK, x0=[], duration=1.0, forces=[rest])
+    np.testing.assert_array_equal(traj.xi[-1], np.zeros(6))
+
+
 def add_positions(_: float, state: list[float], seen: SeenState) -> tuple[list[float], list[float]]:
     """Return the sum of all positions so far; the state is changed in place."""
     state.append(float(seen.x["beanie"]))

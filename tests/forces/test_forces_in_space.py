@@ -17,7 +17,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.forces import SeenState, Torque, Wrench
 from pinred.forces.force_model import ForceModel
-from pinred.forces.force_values import BaseInSpace, ForceInputs
+from pinred.forces.force_numbers import BaseInSpace, ForceInputs
 from pinred.lie import GROUPS
 from pinred.scene.scene import ENGINES, Engine
 from pinred.simulation.plan import plan_of

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pinred.common.arrays import Array
-from pinred.forces.force_values import FunctionBuffers, Numeric
+from pinred.forces.force_numbers import FunctionBuffers, Numeric
 
 
 def matrix_function() -> ca.Function:

@@ -16,7 +16,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.forces import Damper, Force, Friction, Spring
 from pinred.forces.force_model import ForceModel
-from pinred.forces.force_values import ForceInputs
+from pinred.forces.force_numbers import ForceInputs
 
 WIDTH = 0.05
 

@@ -151,6 +151,13 @@ def test_through_interpolates_unwrapped_attitudes() -> None:
     np.testing.assert_allclose(attitude.rate(t)[3], [0.0, 3.0, 4.0], atol=1e-3)
 
 
+@pytest.mark.parametrize("attitudes", [[0.1, 0.2, 0.3], np.zeros((3, 5)), np.zeros((0, 3))])
+def test_through_refuses_attitudes_of_other_shapes(attitudes: Any) -> None:
+    """One attitude, rows of five numbers, and no attitudes are no table of attitudes."""
+    with pytest.raises(pinred.ShapeError, match=r"rotation vectors \(n, 3\) or quaternions"):
+        Attitude.through([0.0, 1.0, 2.0], attitudes)
+
+
 def test_members_and_flows_vary_parameters_of_attitudes() -> None:
     """Batches equal single runs, and derivatives by a Parameter equal differences."""
     rate = Parameter("rate", 1.3)

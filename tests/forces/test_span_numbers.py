@@ -19,7 +19,7 @@ from pinred.common.errors import InputError
 from pinred.forces import Limit, Torque
 from pinred.forces.force_model import ForceModel
 from pinred.forces.force_numbers import Tables
-from pinred.forces.signals import tabulated
+from pinred.forces.signals import signal
 from pinred.judge.full_dynamics import FullDynamics
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Hold, Linear, Spline
@@ -59,7 +59,7 @@ def model_of(scene: pinred.Scene) -> ForceModel:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("end", tabulated.ENDS)
+@pytest.mark.parametrize("end", signal.ENDS)
 def test_driven_joint_follows_spline_of_scipy(engine: Engine, end: Any) -> None:
     """Positions and rates of a driven joint are those of SciPy's spline, also exactly at knots."""
     times, values = knots(40)
@@ -281,9 +281,9 @@ def test_sizes_of_tables_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     assert Hold(grid[:-1], grid[:-1]).breaks.size == 99_999
     with pytest.raises(InputError, match="100001 entries, more than 100000"):
         Hold(grid, grid)
-    monkeypatch.setattr(tabulated, "_MOST_WEIGHTS", 100)
+    monkeypatch.setattr(signal, "_MOST_WEIGHTS", 100)
     table = Spline([0.0, 0.3, 0.6, END], [Parameter(name, 0.0) for name in "abcd"])
     assert table.segments().shape == (3, 21)
-    monkeypatch.setattr(tabulated, "_MOST_WEIGHTS", 60)
+    monkeypatch.setattr(signal, "_MOST_WEIGHTS", 60)
     with pytest.raises(InputError, match="at most 3 Parameters among its values, got 4"):
         table.segments()

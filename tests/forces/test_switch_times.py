@@ -14,7 +14,7 @@ import pinred
 from pinred import InputError, Parameter
 from pinred.forces import Torque
 from pinred.forces.force_model import ForceModel
-from pinred.forces.force_values import ForceInputs
+from pinred.forces.force_numbers import ForceInputs
 
 Function = Callable[[ca.SX], Any]
 

@@ -21,7 +21,7 @@ from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.kernels import closing_code
 from pinred.simulation import checkpoint
-from pinred.system.loops.looped_system import loop_jacobian, loop_values
+from pinred.system.loops.kinematics import loop_jacobian, loop_values
 
 START: dict[str, Any] = {"x0": {"crank": 1.0}, "xdot0": {"crank": 2.0}, "xi0": [0.1, 0.2, 0.3]}
 

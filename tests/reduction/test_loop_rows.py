@@ -15,13 +15,13 @@ import pinred
 from pinred.reduction.tree.all_joints import joint_rates, joint_values, on_shape
 from pinred.reduction.tree.body_frames import bodies_of
 from pinred.reduction.tree.loop_constraints import LoopRows, PolynomialRow, SurfaceRow
-from pinred.system.loops.loop import BallSurface, JointPolynomial, Loop
-from pinred.system.loops.looped_system import (
+from pinred.system.loops.kinematics import (
     loop_jacobian,
     loop_jacobian_rate,
     loop_kinematics,
     loop_values,
 )
+from pinred.system.loops.loop import BallSurface, JointPolynomial, Loop
 
 ROBOTS: dict[str, Callable[[], tuple[pin.Model, list[Loop]]]] = {
     "points": five_bar,

@@ -16,7 +16,7 @@ from pinred.common.arrays import Array
 from pinred.common.errors import InputError
 from pinred.signals import Fourier
 from pinred.simulation.flow_map.flow import Flow
-from pinred.system.loops.looped_system import loop_values
+from pinred.system.loops.kinematics import loop_values
 
 FREQUENCY, HEIGHT = 2.0, 0.4
 

@@ -25,8 +25,8 @@ from pinred.common.errors import (
 from pinred.kernels import validation
 from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
+from pinred.system.loops.kinematics import loop_values
 from pinred.system.loops.loop import Loop, LoopKind
-from pinred.system.loops.looped_system import loop_values
 from pinred.views.playback.shape_panel import shape_panel
 
 

@@ -20,7 +20,7 @@ from pinred.common.errors import (
     UnsupportedOperationError,
 )
 from pinred.forces.kinds import Torque
-from pinred.forces.signals.tabulated import Hold
+from pinred.forces.signals.signal import Hold
 from pinred.integrators.methods import DOP853, Explicit, Tsit5
 from pinred.kernels.device import cuda_driver, device_code
 from pinred.system.system import System

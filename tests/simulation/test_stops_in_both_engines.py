@@ -18,7 +18,7 @@ import pinred
 from pinred.cli.main import main
 from pinred.common.arrays import Array
 from pinred.forces import PD, Controller, Torque, Wrench
-from pinred.forces.signals.formulas import Expression
+from pinred.forces.signals.signal import Expression
 from pinred.judge.verdict import Verdict
 from pinred.scene.scene import Engine
 from pinred.simulation import run_with_stops

@@ -11,7 +11,7 @@ import pytest
 
 import pinred
 from pinred.forces import PD, ComputedTorque, Controller, Torque
-from pinred.forces.signals.formulas import Expression
+from pinred.forces.signals.signal import Expression
 from pinred.judge.verdict import Verdict
 from pinred.system.force_interface import SeenState
 

@@ -18,9 +18,8 @@ import pinred
 from pinred.cli.main import main
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, ModelError
-from pinred.system.loops.kinematics import LoopKinematics
+from pinred.system.loops.kinematics import LoopKinematics, loop_values
 from pinred.system.loops.loop import KINDS, Loop, parse_loops
-from pinred.system.loops.looped_system import loop_values
 
 
 @pytest.mark.parametrize("kind", ["3d", "z"])

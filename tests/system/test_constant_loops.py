@@ -12,9 +12,10 @@ from loop_robots import FOUR_BAR, four_bar
 import pinred
 from pinred.common.errors import InputError
 from pinred.judge.full_system import loop_errors
-from pinred.system.constant_loops import with_constant_loops
 from pinred.system.coordinates import InitialState
+from pinred.system.loops.independent_joints import loop_chart, with_constant_loops
 from pinred.system.loops.loop import Loop
+from pinred.system.loops.loop_assembly import loop_gaps
 from pinred.system.robot_file_contents import Contents
 from pinred.system.system import System
 
@@ -130,3 +131,16 @@ def test_placements_of_a_coupled_loop_do_not_vary_but_masses_do() -> None:
     assert heavy.mass == pytest.approx(system.mass + 2.0 - model.inertias[4].mass)
     with pytest.raises(InputError, match=r"loop 'tips' is a coupling for the placements"):
         pinred.Scene(system=system, parameters={"rocker.translation": [1.1, 0.0, 0.0]})
+
+
+def test_chart_follows_shapes_near_a_dead_point_in_shorter_steps() -> None:
+    """Newton's method fails from the assembled shape, and not along waypoints of 2e-3 rad."""
+    system = pinred.load("parallel_biped")
+    names = ("left_front_hip", "left_front_knee", "right_front_hip", "right_rear_hip")
+    chart, goal = loop_chart(system, names), np.array([0.6, -0.3, 0.3, -0.3])
+    assert system.closure is not None
+    (x,) = chart.shapes(goal[None])
+    assert loop_gaps(system, x, system.closure.length).max() < 1e-14
+    start = system.closure.x[[system.shape_names.index(name) for name in names]]
+    waypoints = chart.shapes(np.linspace(start, goal, 400))
+    np.testing.assert_allclose(x, waypoints[-1], atol=1e-12)

@@ -9,8 +9,8 @@ import pytest
 import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError
+from pinred.system.loops.kinematics import loop_jacobian, loop_kinematics, loop_values
 from pinred.system.loops.loop import JointPolynomial
-from pinred.system.loops.looped_system import loop_jacobian, loop_kinematics, loop_values
 
 KNEE = """
 <mujoco model="knee">

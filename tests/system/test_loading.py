@@ -20,7 +20,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 from pinred.system.joints import root_joint
-from pinred.system.loops.looped_system import loop_jacobian, loop_values
+from pinred.system.loops.kinematics import loop_jacobian, loop_values
 from pinred.system.robot_files import bundled_robots, has_example_robots
 
 needs_robots = pytest.mark.skipif(

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import ModelError
-from pinred.system.loops.looped_system import loop_values
+from pinred.system.loops.kinematics import loop_values
 
 LENGTHS = {"crank": 0.3, "coupler": 0.8, "rocker": 0.6}
 BASE = ([0.2, 0.1, 0.3], [0.1, 0.2, 0.3])  # place [m] and roll, pitch, yaw [rad] of the base

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from pinred.common.errors import LoadError
-from pinred.system import mesh_files, mesh_process
-from pinred.system.mesh_files import Mesh, Unreadable, read_meshes
+from pinred.system import mesh_process, urdf_shapes
+from pinred.system.urdf_shapes import Mesh, Unreadable, read_meshes
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -64,7 +64,7 @@ FILES: list[tuple[str, bytes, str]] = [
 
 @pytest.fixture(autouse=True)
 def _no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mesh_files, "_CACHE", mesh_files.MeshCache())
+    monkeypatch.setattr(urdf_shapes, "_CACHE", urdf_shapes.MeshCache())
 
 
 def reason(result: Mesh | Unreadable) -> str:
@@ -124,7 +124,7 @@ def test_only_regular_files_are_read(
         path.mkdir()
     elif kind == "large":
         with path.open("wb") as file:
-            file.truncate(mesh_files.MOST_BYTES + 1)
+            file.truncate(urdf_shapes.MOST_BYTES + 1)
     expected = {"gone": "does not exist", "large": "is larger than 256 MB"}
     assert reason(read_meshes([path])[path]) == expected.get(kind, "is not a regular file")
     assert processes == []
@@ -151,8 +151,8 @@ def test_unchanged_files_are_read_once(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_cache_drops_the_least_recent_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its size is bounded."""
-    monkeypatch.setattr(mesh_files, "_KEPT", 1000)
-    cache, mesh = mesh_files.MeshCache(), Mesh(np.zeros((12, 3)), np.zeros((10, 3), np.uint32))
+    monkeypatch.setattr(urdf_shapes, "_KEPT", 1000)
+    cache, mesh = urdf_shapes.MeshCache(), Mesh(np.zeros((12, 3)), np.zeros((10, 3), np.uint32))
     for k in range(3):
         cache.put((0, k, 0, 0), mesh)
         if k < 2:
@@ -171,7 +171,7 @@ def test_mesh_that_takes_too_long_is_given_up(
     """A polygon with 200,000 corners takes minutes."""
     path = tmp_path / "slow.obj"
     path.write_text(SLOW)
-    monkeypatch.setattr(mesh_files, limit, 1.0)
+    monkeypatch.setattr(urdf_shapes, limit, 1.0)
     expected = "was not read within 1 s"
     together = limit == "_SECONDS_TOGETHER"
     began = time.monotonic()
@@ -183,7 +183,7 @@ def test_memory_of_the_child_is_limited(tmp_path: Path, monkeypatch: pytest.Monk
     """Libraries need 150 MB, and four million vertices need as much again."""
     path = tmp_path / "long.obj"
     path.write_bytes(b"v 0 0 0\n" * 4_000_000 + b"v 1 0 0\nv 0 1 0\nf 1 4000001 4000002\n")
-    monkeypatch.setattr(mesh_files, "_MEMORY", 250_000_000)
+    monkeypatch.setattr(urdf_shapes, "_MEMORY", 250_000_000)
     assert reason(read_meshes([path])[path])
 
 
@@ -191,7 +191,7 @@ def test_too_many_triangles_are_refused(tmp_path: Path, monkeypatch: pytest.Monk
     """The limit counts vertices and triangles."""
     path = tmp_path / "mesh.stl"
     path.write_bytes(stl())
-    monkeypatch.setattr(mesh_files, "_MOST", 7)
+    monkeypatch.setattr(urdf_shapes, "_MOST", 7)
     assert "more than 7 vertices and triangles" in reason(read_meshes([path])[path])
 
 

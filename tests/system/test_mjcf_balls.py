@@ -14,12 +14,11 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, ModelError
 from pinred.forces.force_model import ForceModel
-from pinred.forces.force_values import ForceInputs
+from pinred.forces.force_numbers import ForceInputs
 from pinred.lie.spatial_groups import SE3
-from pinred.system.ball_forces import BallSpring
 from pinred.system.merge_hinges import LIMITS
 from pinred.system.mjcf.read import MujocoRobot, read_mujoco
-from pinred.system.passive import MERGED, Damper, Friction, Spring
+from pinred.system.passive import MERGED, BallSpring, Damper, Friction, Spring
 
 MASS = '<geom type="box" size=".1 .2 .05" pos=".1 .02 .2"/>'
 # The joint names and classes of dm_control's CMU humanoid, and a pelvis on a slide.

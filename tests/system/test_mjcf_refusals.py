@@ -88,7 +88,7 @@ def test_joint_constraint_becomes_coupling() -> None:
     """Offsets are in shape coordinates, while MuJoCo's are relative to the references."""
     content = coupled('<joint name="gear" joint1="left" joint2="right" polycoef=".1 2"/>')
     tree = read_tree(mujoco.MjSpec.from_string(content))
-    (coupling,) = constraints_of(tree).couplings
+    (coupling,), _, _ = constraints_of(tree)
     assert coupling == Coupling("left", {"right": 2.0}, coupling.offset)
     assert coupling.offset == pytest.approx(0.3 + 0.1 - 2.0 * 0.4)
     # MuJoCo's residual of the constraint is zero there.

@@ -90,7 +90,7 @@ def test_inertia_that_drake_replaces_is_refused(
     """If Drake replaces moments for another reason, the sum of the moments shows it."""
     path = tmp_path / "robot.sdf"
     path.write_text(text_of("1 2 9"), "utf-8")
-    monkeypatch.setattr(sdf_document, "added_moment", lambda *_: (0.0, 12.0))
+    monkeypatch.setattr(vars(sdf_document)["_Reader"], "_added_moment", lambda *_: (0.0, 12.0))
     with pytest.raises(
         ModelError, match="link 'b' has moments of inertia with the sum 12, but Drake"
     ):
@@ -104,9 +104,13 @@ def test_small_difference_of_moments_is_noticed(
     path = tmp_path / "robot.sdf"
     path.write_text(text_of("1 1.5 2"), "utf-8")
     size = 4.5 + 2.0 * (0.09 + 0.04 + 0.01)
-    monkeypatch.setattr(sdf_document, "added_moment", lambda *_: (0.0, 4.5 + 4e-10 * size))
+    monkeypatch.setattr(
+        vars(sdf_document)["_Reader"], "_added_moment", lambda *_: (0.0, 4.5 + 4e-10 * size)
+    )
     read_sdf(path)
-    monkeypatch.setattr(sdf_document, "added_moment", lambda *_: (0.0, 4.5 + 4e-9 * size))
+    monkeypatch.setattr(
+        vars(sdf_document)["_Reader"], "_added_moment", lambda *_: (0.0, 4.5 + 4e-9 * size)
+    )
     with pytest.raises(ModelError, match="but Drake reads 4"):
         read_sdf(path)
 

@@ -11,7 +11,7 @@ from headless_browser import Browser
 import pinred
 from pinred.cli.main import main
 from pinred.common.arrays import Array
-from pinred.system.loops.looped_system import loop_values
+from pinred.system.loops.kinematics import loop_values
 
 pytestmark = pytest.mark.browser
 

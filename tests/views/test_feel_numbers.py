@@ -14,7 +14,7 @@ import pytest
 import pinred
 from pinred.common.arrays import Array
 from pinred.system.joints import axes_of
-from pinred.system.loops.looped_system import loop_values
+from pinred.system.loops.kinematics import loop_values
 from pinred.views.feel.feel_page import (
     feel_graphs,
     feel_page,

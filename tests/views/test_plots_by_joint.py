@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import pinred
 from pinred import plots
 from pinred.cli.main import main
-from pinred.system.stated_limits import joint_limits
+from pinred.system.passive import joint_limits
 
 ARM = """<robot name="arm">
   <link name="hull"><inertial><mass value="4"/>

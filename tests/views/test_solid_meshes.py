@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 from pinred.common.arrays import Array
-from pinred.system.mesh_files import Mesh
+from pinred.system.urdf_shapes import Mesh
 from pinred.views.playback.drawn_bodies import Solid
 from pinred.views.playback.scene_nodes import interpolate_placements
 from pinred.views.playback.solid_meshes import facets, solid_mesh, vertex_normals

@@ -88,7 +88,7 @@ def test_robots_without_meshes_start_no_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing is paid for meshes that do not exist."""
-    monkeypatch.setattr("pinred.system.mesh_files.subprocess.Popen", None)
+    monkeypatch.setattr("pinred.system.urdf_shapes.subprocess.Popen", None)
     bodies = drawn(write(tmp_path, '<sphere radius="0.5"/>', '<box size="1 2 3"/>'))
     assert [solid.kind for solid in bodies.solids] == ["sphere", "box"]
     assert bodies.note == ""

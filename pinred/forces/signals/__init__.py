@@ -5,8 +5,6 @@ and acceleration of a signal are the function and its first two derivatives.
 """
 
 from .attitude_signal import Attitude
-from .formulas import Constant, Expression, Fourier
-from .signal import Signal
-from .tabulated import Hold, Linear, Spline
+from .signal import Constant, Expression, Fourier, Hold, Linear, Signal, Spline
 
 __all__ = ["Attitude", "Constant", "Expression", "Fourier", "Hold", "Linear", "Signal", "Spline"]

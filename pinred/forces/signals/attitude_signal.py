@@ -26,9 +26,7 @@ from ...lie.rotations import (
     quaternion_product,
     unwrapped_rotation_vectors,
 )
-from .formulas import Constant, Expression
-from .signal import Signal
-from .tabulated import Hold, Linear, Spline
+from .signal import Constant, Expression, Hold, Linear, Signal, Spline
 
 if TYPE_CHECKING:
     import casadi as ca

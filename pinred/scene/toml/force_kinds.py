@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeAlias
 
 from ...forces import kinds
 from ...forces.force import Force
-from ...forces.wrench import AXES
+from ...forces.kinds import AXES
 from .schema import ByName, Either, Flag, Key, ListOf, Node, Table, Tagged, Text
 from .signal_tables import ACTION, ATTITUDE, NUMBER, NUMBERS, PER_JOINT, PLAN, POSITIVE
 

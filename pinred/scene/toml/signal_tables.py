@@ -16,7 +16,7 @@ from ...common.errors import InputError, PinredError
 from ...common.names import quoted_path
 from ...forces.signals import Attitude, Constant, Expression, Fourier, Hold, Linear, Signal, Spline
 from ...forces.signals.attitude_signal import parse_attitude
-from ...forces.signals.tabulated import ENDS
+from ...forces.signals.signal import ENDS
 from .file_place import Place, naming, read_text, shown, unknown
 from .schema import ByName, Either, Key, ListOf, Number, Table, Text, Whole
 

@@ -18,8 +18,7 @@ from ...common.arrays import Array, read_only
 from ...common.errors import InputError, UnsupportedOperationError
 from ...common.memo import once, recent
 from ...forces.force_model import ForceModel
-from ...forces.force_numbers import SpanNumbers
-from ...forces.force_values import BaseInSpace
+from ...forces.force_numbers import BaseInSpace, SpanNumbers
 from ...forces.switch_times import time_within
 from ...integrators.methods import Method
 from ...kernels.build import build_kernel

@@ -37,8 +37,8 @@ from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import HeldJoints, closed_rates, closed_shape, order_by_joint
 from ...scene.scene import Scene
 from ...scene.stop import stop_numbers
+from ...system.loops.kinematics import loop_jacobian, loop_jacobian_rate
 from ...system.loops.loop_assembly import loop_rates, rate_units
-from ...system.loops.looped_system import loop_jacobian, loop_jacobian_rate
 from ...system.system import System
 from ..robot_columns import RobotColumns, with_own
 

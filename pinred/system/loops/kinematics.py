@@ -1,4 +1,4 @@
-"""Loop constraints φ(q), their Jacobian and its time derivative, computed with Pinocchio.
+"""Loop constraints φ(q), their Jacobian and its time derivative, of a model or a system.
 
 With the placement X = (R, p) of frame b in frame a, the equations are p = 0 and, for the rotation,
 ½ vee(R − Rᵀ) = 0 ("6d"), or e_i · R e_k = 0 for both axes i ≠ k ("x", "y", "z" with axis k).  The
@@ -12,23 +12,41 @@ Surfaces of balls are polynomials of quaternions (see BallSurface).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Protocol, TypeVar
 
 import numpy as np
 import pinocchio as pin
 from numpy.polynomial import Polynomial
 
-from ...common.arrays import Array
+from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...common.names import listed, nearest, quoted
+from ...lie.group import Group
+from ..coordinates import InitialState, ShapeSpace
+from ..coupling import Coupled
 from ..joints import is_prismatic
+from ..robot_file_contents import Keyframe, Origin
 from .loop import BallSurface, Constraint, JointPolynomial, Loop, quaternion_parts
 
 
-class JointLaw:
+class _RowLaw(ABC):
+    """The constraint of one equation, with its row of the Jacobian."""
+
+    @abstractmethod
+    def row_rate(self, q: Array, v: Array) -> Array:
+        """Return the time derivative of the row at velocity v (nv,), (1, nv)."""
+
+    def bias(self, q: Array, v: Array) -> Array:
+        """Return the acceleration of the constraint at zero joint acceleration, (1,)."""
+        return np.asarray(self.row_rate(q, v) @ v)
+
+
+class JointLaw(_RowLaw):
     """The constraint of a polynomial, with its row of the Jacobian.
 
     Attributes:
@@ -65,7 +83,7 @@ class JointLaw:
         return rate
 
 
-class BallLaw:
+class BallLaw(_RowLaw):
     """The constraint of a surface of a ball's attitudes, with its row of the Jacobian.
 
     Attributes:
@@ -84,8 +102,8 @@ class BallLaw:
 
     def value(self, q: Array) -> Array:
         """Return φ, (1,), at configuration q (nq,)."""
-        own = q[self._q]
-        return np.array([(0.5 * self._S @ own + self._l) @ own - self._c])
+        ball = q[self._q]
+        return np.array([(0.5 * self._S @ ball + self._l) @ ball - self._c])
 
     def row(self, q: Array) -> Array:
         """Return the row of the Jacobian, (1, nv)."""
@@ -95,10 +113,10 @@ class BallLaw:
 
     def row_rate(self, q: Array, v: Array) -> Array:
         """Return the time derivative of the row at velocity v (nv,), (1, nv)."""
-        own, rate = q[self._q], np.zeros((1, self._nv))
-        turn = rates_of_quaternion(own) @ v[self._v]
-        rate[0, self._v] = (self._S @ turn) @ rates_of_quaternion(own)
-        rate[0, self._v] += (self._S @ own + self._l) @ rates_of_quaternion(turn)
+        ball, rate = q[self._q], np.zeros((1, self._nv))
+        turn = rates_of_quaternion(ball) @ v[self._v]
+        rate[0, self._v] = (self._S @ turn) @ rates_of_quaternion(ball)
+        rate[0, self._v] += (self._S @ ball + self._l) @ rates_of_quaternion(turn)
         return rate
 
 
@@ -206,6 +224,81 @@ def rotation_axes(kind: str) -> list[tuple[int, int]]:
     return [((k + 1) % 3, k), ((k + 2) % 3, k)]
 
 
+class FrameLaw:
+    """The constraint between two frames of a loop, with its rows of the Jacobian.
+
+    Placements and velocities of the joints are those of a work space, which the caller updates.
+
+    Attributes:
+        is_length: Whether each equation is a length [m], instead of an angle [rad], (c,).
+    """
+
+    def __init__(self, model: pin.Model, data: pin.Data, loop: Loop) -> None:
+        """Find the frames in the model."""
+        self._model, self._data, self._kind = model, data, loop.kind
+        self._a, self._b = loop_ends(model, loop)
+        self._root = int(model.joints[1].nv)
+        self.is_length = np.arange(loop.equations) < 3
+
+    def placement(self) -> pin.SE3:
+        """Return the placement X of frame b in frame a."""
+        a, b, oMi = self._a, self._b, self._data.oMi
+        return (oMi[a.joint] * a.placement).actInv(oMi[b.joint] * b.placement)
+
+    def value(self, q: Array) -> Array:  # noqa: ARG002
+        """Return φ, (c,) [m | rad], for the placements of the joints."""
+        return _values(self._kind, self.placement())
+
+    def row(self, q: Array) -> Array:  # noqa: ARG002
+        """Return the rows of the Jacobian, (c, nv), for the Jacobians of the joints."""
+        X = self.placement()
+        return _rows(self._kind, X.rotation, self._relative(X))
+
+    def row_rate(self, q: Array, v: Array) -> Array:  # noqa: ARG002
+        """Return the time derivative of the rows at velocity v (nv,), (c, nv)."""
+        X = self.placement()
+        R, D = X.rotation, self._relative(X)
+        V = D @ v
+        Rdot = R @ pin.skew(V[3:])
+        return _rows(self._kind, Rdot, D) + _rows(self._kind, R, self._relative_rate(X, V))
+
+    def bias(self, q: Array, v: Array) -> Array:  # noqa: ARG002
+        """Return J̇ v, (c,), for the accelerations of the joints."""
+        X, a, b = self.placement(), self._a, self._b
+        v_joints, a_joints = self._data.v, self._data.a
+        V_a, rate_a = (
+            X.actInv(a.placement.actInv(twists[a.joint])) for twists in (v_joints, a_joints)
+        )
+        V_b, rate_b = (b.placement.actInv(twists[b.joint]) for twists in (v_joints, a_joints))
+        V = V_b - V_a
+        Vdot, V = (rate_b - rate_a + V.cross(V_a)).vector, V.vector
+        by_rotation = _rows(self._kind, X.rotation @ pin.skew(V[3:]), V[:, None])
+        return (by_rotation + _rows(self._kind, X.rotation, Vdot[:, None]))[:, 0]
+
+    def _relative(self, X: pin.SE3) -> Array:
+        """Return D, (6, nv), with the relative twist V = D v in frame b."""
+        J_a, J_b = (
+            end.from_joint @ pin.getJointJacobian(self._model, self._data, end.joint, _LOCAL)
+            for end in (self._a, self._b)
+        )
+        D = J_b - X.toActionMatrixInverse() @ J_a
+        D[:, : self._root] = 0.0  # The root moves both frames alike; this removes round-off.
+        return np.asarray(D)
+
+    def _relative_rate(self, X: pin.SE3, V: Array) -> Array:
+        """Return Ḋ, (6, nv), at the relative twist V, (6,)."""
+        model, data, a, b = self._model, self._data, self._a, self._b
+        J_a = a.from_joint @ pin.getJointJacobian(model, data, a.joint, _LOCAL)
+        rate_a, rate_b = (
+            end.from_joint @ pin.getJointJacobianTimeVariation(model, data, end.joint, _LOCAL)
+            for end in (a, b)
+        )
+        change = X.toActionMatrixInverse()
+        rate = rate_b - change @ rate_a + pin.Motion(V).action @ (change @ J_a)
+        rate[:, : self._root] = 0.0
+        return np.asarray(rate)
+
+
 class LoopKinematics:
     """The constraints of all loops of a model.  Not thread-safe.
 
@@ -219,21 +312,14 @@ class LoopKinematics:
         """Find the frames and joints of the loops in the model."""
         self.loops = tuple(loops)
         self._model, self._data = model, model.createData()
-        self._ends: dict[int, tuple[LoopEnd, LoopEnd]] = {}
-        self._laws: dict[int, JointLaw | BallLaw] = {}
-        for k, loop in enumerate(loops):
-            if isinstance(loop, Loop):
-                self._ends[k] = loop_ends(model, loop)
-            else:
-                self._laws[k] = law_of(model, loop)
+        self._laws: list[FrameLaw | JointLaw | BallLaw] = [
+            FrameLaw(model, self._data, loop) if isinstance(loop, Loop) else law_of(model, loop)
+            for loop in loops
+        ]
         self._root = int(model.joints[1].nv)
         first = np.cumsum([0, *(loop.equations for loop in loops)]).tolist()
         self.rows = [slice(a, b) for a, b in pairwise(first)]
-        self.is_length = np.zeros(first[-1], dtype=bool)
-        for k, rows in enumerate(self.rows):
-            law = self._laws.get(k)
-            count = 3 if law is None else int(law.is_length)
-            self.is_length[rows.start : rows.start + count] = True
+        self.is_length = np.hstack([np.empty(0, dtype=bool), *(l.is_length for l in self._laws)])
 
     def placements(self, q: Array) -> list[pin.SE3 | None]:
         """Return the placement of frame b in frame a of each loop at configuration q, (nq,).
@@ -241,102 +327,29 @@ class LoopKinematics:
         Polynomials of joints have None.
         """
         pin.forwardKinematics(self._model, self._data, q)
-        count = range(len(self.loops))
-        return [self._placement(k) if k in self._ends else None for k in count]
+        return [law.placement() if isinstance(law, FrameLaw) else None for law in self._laws]
 
     def values(self, q: Array) -> Array:
         """Return φ(q), (c,) [m | rad | 1]."""
         pin.forwardKinematics(self._model, self._data, q)
-        blocks = [
-            _values(loop.kind, self._placement(k))
-            if isinstance(loop, Loop)
-            else self._laws[k].value(q)
-            for k, loop in enumerate(self.loops)
-        ]
-        return np.concatenate(blocks)
+        return np.concatenate([law.value(q) for law in self._laws])
 
     def jacobian(self, q: Array) -> Array:
         """Return the Jacobian J(q), (c, nv), with φ̇ = J v."""
         pin.computeJointJacobians(self._model, self._data, q)
-        blocks = []
-        for k, loop in enumerate(self.loops):
-            if not isinstance(loop, Loop):
-                blocks.append(self._laws[k].row(q))
-                continue
-            X = self._placement(k)
-            blocks.append(_rows(loop.kind, X.rotation, self._relative(k, X)))
-        return np.vstack(blocks)
+        return np.vstack([law.row(q) for law in self._laws])
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
         """Return the time derivative of the Jacobian at velocity v (nv,), (c, nv)."""
         pin.computeJointJacobiansTimeVariation(self._model, self._data, q, v)
-        blocks = []
-        for k, loop in enumerate(self.loops):
-            if not isinstance(loop, Loop):
-                blocks.append(self._laws[k].row_rate(q, v))
-                continue
-            X = self._placement(k)
-            R, D = X.rotation, self._relative(k, X)
-            V = D @ v
-            Rdot = R @ pin.skew(V[3:])
-            Ddot = self._relative_rate(k, X, V)
-            blocks.append(_rows(loop.kind, Rdot, D) + _rows(loop.kind, R, Ddot))
-        return np.vstack(blocks)
+        return np.vstack([law.row_rate(q, v) for law in self._laws])
 
     def bias(self, q: Array, v: Array) -> Array:
         """Return J̇ v, (c,): the accelerations of the constraints at zero joint acceleration."""
         beside_root = v.copy()
         beside_root[: self._root] = 0.0  # The root moves both frames alike; this removes round-off.
         pin.forwardKinematics(self._model, self._data, q, beside_root, np.zeros(len(v)))
-        blocks = []
-        for k, loop in enumerate(self.loops):
-            if not isinstance(loop, Loop):
-                blocks.append(self._laws[k].row_rate(q, v) @ v)
-                continue
-            X = self._placement(k)
-            V, Vdot = self._relative_motion(k, X)
-            by_rotation = _rows(loop.kind, X.rotation @ pin.skew(V[3:]), V[:, None])
-            blocks.append((by_rotation + _rows(loop.kind, X.rotation, Vdot[:, None]))[:, 0])
-        return np.concatenate(blocks)
-
-    def _relative_motion(self, k: int, X: pin.SE3) -> tuple[Array, Array]:
-        """Return the relative twist V and its rate, (6,), at zero joint acceleration."""
-        a, b = self._ends[k]
-        v, rate = self._data.v, self._data.a
-        V_a, rate_a = (X.actInv(a.placement.actInv(twists[a.joint])) for twists in (v, rate))
-        V_b, rate_b = (b.placement.actInv(twists[b.joint]) for twists in (v, rate))
-        V = V_b - V_a
-        return V.vector, (rate_b - rate_a + V.cross(V_a)).vector
-
-    def _placement(self, k: int) -> pin.SE3:
-        a, b = self._ends[k]
-        oMi = self._data.oMi
-        return (oMi[a.joint] * a.placement).actInv(oMi[b.joint] * b.placement)
-
-    def _relative(self, k: int, X: pin.SE3) -> Array:
-        """Return D, (6, nv), with the relative twist V = D v in frame b."""
-        a, b = self._ends[k]
-        J_a, J_b = (
-            end.from_joint @ pin.getJointJacobian(self._model, self._data, end.joint, _LOCAL)
-            for end in (a, b)
-        )
-        D = J_b - X.toActionMatrixInverse() @ J_a
-        D[:, : self._root] = 0.0  # The root moves both frames alike; this removes round-off.
-        return np.asarray(D)
-
-    def _relative_rate(self, k: int, X: pin.SE3, V: Array) -> Array:
-        """Return Ḋ, (6, nv), at the relative twist V, (6,)."""
-        a, b = self._ends[k]
-        inverse_a, inverse_b = a.from_joint, b.from_joint
-        J_a = inverse_a @ pin.getJointJacobian(self._model, self._data, a.joint, _LOCAL)
-        rate_a, rate_b = (
-            inverse @ pin.getJointJacobianTimeVariation(self._model, self._data, joint, _LOCAL)
-            for inverse, joint in ((inverse_a, a.joint), (inverse_b, b.joint))
-        )
-        change = X.toActionMatrixInverse()
-        rate = rate_b - change @ rate_a + pin.Motion(V).action @ (change @ J_a)
-        rate[:, : self._root] = 0.0
-        return np.asarray(rate)
+        return np.concatenate([law.bias(q, v) for law in self._laws])
 
 
 def _values(kind: str, X: pin.SE3) -> Array:
@@ -357,3 +370,117 @@ def _rows(kind: str, R: Array, D: Array) -> Array:
         return np.vstack([linear, 0.5 * (np.trace(R) * np.eye(3) - R.T) @ D[3:]])
     turns = [-(R @ pin.skew(np.eye(3)[k]))[i] @ D[3:] for i, k in rotation_axes(kind)]
     return np.vstack([linear, *turns])
+
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Closure(FrozenArrays):
+    """A closed shape of a robot with loops, and its independent equations.  Arrays are read-only.
+
+    Attributes:
+        x: A closed shape, (nx,) [rad | m].
+        rows: Indices of independent equations, (k,).
+        equations: Number of all equations.
+        length: Size of the loops [m].
+        least: Smallest singular value of the scaled independent equations at generic shapes.
+    """
+
+    x: Array
+    rows: Array
+    equations: int
+    length: float
+    least: float
+
+    @property
+    def rank(self) -> int:
+        """Number of independent equations."""
+        return len(self.rows)
+
+
+class LoopedSystem(Protocol):
+    """The members of System on which loops depend; System imports this module."""
+
+    @property
+    def sorted_model(self) -> pin.Model: ...  # noqa: D102
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+
+    @property
+    def loops(self) -> tuple[Constraint, ...]: ...  # noqa: D102
+
+    @property
+    def closure(self) -> Closure | None: ...  # noqa: D102
+
+    @property
+    def group(self) -> Group: ...  # noqa: D102
+
+    @property
+    def space(self) -> ShapeSpace: ...  # noqa: D102
+
+    @property
+    def tree(self) -> ShapeSpace: ...  # noqa: D102
+
+    @property
+    def coupled(self) -> Coupled | None: ...  # noqa: D102
+
+    @property
+    def initial(self) -> InitialState | None: ...  # noqa: D102
+
+    @property
+    def origin(self) -> Origin | None: ...  # noqa: D102
+
+    @property
+    def keyframes(self) -> Mapping[str, Keyframe]: ...  # noqa: D102
+
+    @property
+    def r(self) -> int: ...  # noqa: D102
+
+    @property
+    def m(self) -> int: ...  # noqa: D102
+
+    @property
+    def shape_dim(self) -> int: ...  # noqa: D102
+
+    @property
+    def units(self) -> tuple[str, ...]: ...  # noqa: D102
+
+    def workspace(self, key: Hashable, make: Callable[[], T]) -> T: ...  # noqa: D102
+
+    def on_shape(self, forces: Array) -> Array: ...  # noqa: D102
+
+    def joint_rates(self, v: Array) -> Array: ...  # noqa: D102
+
+    def sorted_q(self, pose: Array, x: Array) -> Array: ...  # noqa: D102
+
+
+def loop_kinematics(system: LoopedSystem) -> LoopKinematics:
+    """Return the loop constraints of a system, one object per thread."""
+    return system.workspace(
+        LoopKinematics, lambda: LoopKinematics(system.sorted_model, system.loops)
+    )
+
+
+def loop_values(system: LoopedSystem, x: Array) -> Array:
+    """Return φ(x), (c,) [m | 1], at shape x (nx,)."""
+    return loop_kinematics(system).values(configuration(system, x))
+
+
+def loop_jacobian(system: LoopedSystem, x: Array) -> Array:
+    """Return the Jacobian of the loops along the shape rates, (c, m)."""
+    J = loop_kinematics(system).jacobian(configuration(system, x))
+    return system.on_shape(J)[:, system.r :]
+
+
+def loop_jacobian_rate(system: LoopedSystem, x: Array, xdot: Array) -> Array:
+    """Return the time derivative of the Jacobian at shape rate ẋ (m,), (c, m)."""
+    v = system.joint_rates(np.concatenate([np.zeros(system.r), xdot]))
+    rate = loop_kinematics(system).jacobian_rate(configuration(system, x), v)
+    return system.on_shape(rate)[:, system.r :]
+
+
+def configuration(system: LoopedSystem, x: Array) -> Array:
+    """Return the configuration of the model at shape x (nx,), with the base at the identity."""
+    return system.sorted_q(system.group.identity(), x)

@@ -17,15 +17,16 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.errors import InputError, ModelError
 from ...common.names import quoted
-from .kinematics import law_of, loop_ends
-from .loop import HEAVY_GROUND, Constraint, Loop
-from .looped_system import (
+from .kinematics import (
     Closure,
     LoopedSystem,
     configuration,
+    law_of,
+    loop_ends,
     loop_jacobian,
     loop_kinematics,
 )
+from .loop import HEAVY_GROUND, Constraint, Loop
 
 CLOSED = 1e-10  # largest gap of a closed loop, relative to its length [1 | rad]
 NEARBY = 0.3  # displacement to a nearby closed shape [rad, or fraction of the loop's length]
@@ -50,20 +51,22 @@ def assemble(
     """
     units = rate_units(system, length) * (1.0 if free is None else free)
     gap = loop_gaps(system, x, length)
+    size = np.linalg.norm(gap)
     for _ in range(_MOST_STEPS):
         residual, jacobian = _linearised(system, x, length)
         step = np.linalg.lstsq(jacobian * units, -residual, rcond=_SMALLEST)[0]
         step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
-        factor, best = 1.0, gap
+        factor = 1.0
         while factor > 1e-6:
             trial = system.space.integrate(x, factor * units * step)
-            best = loop_gaps(system, trial, length)
-            if np.linalg.norm(best) < np.linalg.norm(gap):
+            trial_gap = loop_gaps(system, trial, length)
+            trial_size = np.linalg.norm(trial_gap)
+            if trial_size < size:
                 break
             factor *= 0.5
         else:
             break
-        x, gap = trial, best
+        x, gap, size = trial, trial_gap, trial_size
     return x, gap
 
 
@@ -77,10 +80,13 @@ def describe_gap(system: LoopedSystem, gaps: Array, length: float) -> str:
 def loop_gaps(system: LoopedSystem, x: Array, length: float) -> Array:
     """Return the gap of each loop, (loops,): norm of its distance over `length` and angle."""
     kinematics, q = loop_kinematics(system), configuration(system, x)
-    values, gaps = np.abs(equation_weights(system, length) * kinematics.values(q)), []
-    for loop, rows, X in zip(system.loops, kinematics.rows, kinematics.placements(q), strict=True):
+    placements, gaps = kinematics.placements(q), list[float]()
+    values = np.empty(0)  # of constraints without frames
+    if any(X is None for X in placements):
+        values = np.abs(equation_weights(system, length) * kinematics.values(q))
+    for loop, equations, X in zip(system.loops, kinematics.rows, placements, strict=True):
         if X is None:
-            gaps.append(float(values[rows.start]))
+            gaps.append(float(values[equations.start]))
             continue
         gaps.append(np.hypot(np.linalg.norm(X.translation) / length, loop_angle(loop, X.rotation)))
     return np.array(gaps)
@@ -180,9 +186,11 @@ def _linearised(system: LoopedSystem, x: Array, length: float) -> tuple[Array, A
     q = configuration(system, x)
     weights = equation_weights(system, length)
     residual, J = weights * kinematics.values(q), weights[:, None] * loop_jacobian(system, x)
-    for loop, rows, X in zip(system.loops, kinematics.rows, kinematics.placements(q), strict=True):
+    for loop, equations, X in zip(
+        system.loops, kinematics.rows, kinematics.placements(q), strict=True
+    ):
         angle = 0.0 if X is None else loop_angle(loop, X.rotation)
-        turn = slice(rows.start + 3, rows.stop)
+        turn = slice(equations.start + 3, equations.stop)
         if not isinstance(loop, Loop) or X is None or angle < 1e-3:
             continue
         if loop.kind == "6d":

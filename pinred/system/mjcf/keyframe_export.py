@@ -17,10 +17,8 @@ from ..locked_joints import separate_attitudes
 from ..system import System
 from .compile import compiled
 from .equality_constraints import locked_with_followers
-from .mujoco_joints import Joint
-from .root import RootMotion
-from .tree import Tree, tree_of
-from .world import World, robot_in
+from .tree import RootMotion, Tree, tree_of
+from .world import Joint, World, robot_in
 
 _ITERATIONS = 50  # largest number of Newton steps for the joints of a base
 _EXACT = 1e-12  # error of the pose of the base [m | rad], relative to its size

@@ -14,14 +14,12 @@ from ...common.arrays import Array
 from ...common.errors import ModelError
 from ...lie.group import Group
 from ..locked_joints import LockedJoints, LockValue, separate_attitudes
-from ..merge_hinges import Merge, coupled_joints, locked_hinges, merge_of, unlocked_balls
+from ..merge_hinges import Merge, coupled_joints, locked_hinges, merge_of
 from ..robot_file_contents import Actuator, Contents, Coupling, Keyframe
-from .actuators import actuators_of
 from .compile import compiled, mujoco_package
 from .equality_constraints import constraints_of, held_joints, locked_with_followers
-from .mujoco_forces import left_out_actions, moving_tendons, passive_forces
-from .rotors import ignored_rotors
-from .tree import Tree, tree_of
+from .mujoco_forces import actuators_of, left_out_actions, moving_tendons, passive_forces
+from .tree import Tree, ignored_rotors, tree_of
 from .world import World, robot_in
 
 
@@ -70,17 +68,16 @@ def read_mujoco(
     effective = file_gravity.effective if gravity is None else gravity
     if balls and lock:
         model = tree_of(world, {}, effective).model
-        requested, lock = lock, locked_hinges(model, balls, lock)
-        balls = unlocked_balls(model, balls, requested)
+        lock, balls = locked_hinges(model, balls, lock)
         merge_of(model, balls, kept=lock)  # Refuse balls of locked hinges.
     names = {world.joint_names[joint]: world.kind(joint) for joint in world.all_joints}
     ball_names = [name for name, kind in names.items() if kind == "ball"]
     values, attitudes = separate_attitudes(lock, ball_names, names)
     locked_values, ties, shared = locked_with_followers(world, values)
     tree = tree_of(world, locked_values, effective, attitudes=attitudes)
-    constraints = constraints_of(tree)
+    couplings, outside, loops = constraints_of(tree)
     forces = passive_forces(tree)
-    kept = {*locked_values, *coupled_joints(constraints.couplings)}
+    kept = {*locked_values, *coupled_joints(couplings)}
     merge = merge_of(tree.model, balls, passive=forces, kept=kept)
     locked = None
     if locked_values:
@@ -102,15 +99,13 @@ def read_mujoco(
     def contents(group: Group) -> Contents:
         return Contents(
             left_out=(
-                *left_out_actions(
-                    tree, constraints.outside, without, gravcomp=file_gravity.is_uneven
-                ),
+                *left_out_actions(tree, outside, without, gravcomp=file_gravity.is_uneven),
                 *merge.left_out(forces),
             ),
             passive=merge.forces(forces),
             actuators=tuple(actuators.values()),
-            keyframes=keyframes_of(tree, group, constraints.couplings, merge, actuators),
-            couplings=constraints.couplings,
+            keyframes=keyframes_of(tree, group, couplings, merge, actuators),
+            couplings=couplings,
             freed=fixed[0] if fixed and tree.root is None else "",
             warnings=(
                 *(() if tree.root is None else ignored_rotors(tree.root.joints)),
@@ -118,7 +113,7 @@ def read_mujoco(
             ),
             locked=locked,
             merged=merge.triples,
-            loops=constraints.loops,
+            loops=loops,
             links=tree.links,
         )
 

@@ -14,10 +14,8 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.errors import LoadError, PinredError
 from ...system.assembly import take_apart
-from ...system.mesh_files import Mesh
 from ...system.mjcf.compile import compiled
-from ...system.mjcf.mujoco_joints import frame
-from ...system.mjcf.world import World, robot_in
+from ...system.mjcf.world import World, frame, robot_in
 from ...system.robot_file_contents import Derivation, Origin
 from ...system.robot_files import (
     bundled_robots,
@@ -28,7 +26,7 @@ from ...system.robot_files import (
     text_in_file,
 )
 from ...system.system import System
-from ...system.urdf_shapes import FARTHEST, Shapes, read_shapes
+from ...system.urdf_shapes import FARTHEST, Mesh, Shapes, read_shapes
 
 # Muted colours that colour-blind people can distinguish (after Okabe and Ito).
 PALETTE = (

@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from ...common.arrays import Array, FrozenArrays
 from ...lie.rotations import rotation
-from ...system.mesh_files import Mesh
+from ...system.urdf_shapes import Mesh
 from .drawn_bodies import Bodies, Colour, Solid
 from .framing import Framing
 from .playback import Playback

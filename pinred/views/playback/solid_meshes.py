@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...common.arrays import Array
-from ...system.mesh_files import Mesh
+from ...system.urdf_shapes import Mesh
 from .drawn_bodies import Solid
 
 _AROUND = 32  # number of sides of a round shape

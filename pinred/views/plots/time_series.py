@@ -19,8 +19,8 @@ from ...lie.groups import group_named
 from ...lie.rotations import rotation, unwrapped_rotation_vectors
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
+from ...system.passive import joint_limits
 from ...system.state_fields import FIELDS
-from ...system.stated_limits import joint_limits
 from ..motion_source import MotionSource
 from .motion_labels import Labels, labels
 from .style import legend, line, on_log, over_time, shown, steady, styled
