@@ -23,9 +23,8 @@ import numpy as np
 from ..common.errors import InputError
 from ..common.names import listed
 from ..reduction.tree.all_joints import joint_rates, joint_values, rate_map, shape_gradient
-from ..reduction.tree.articulated_body import moved_twist
 from ..reduction.tree.articulated_sweep import step_of
-from ..reduction.tree.body_frames import bodies_of
+from ..reduction.tree.body_frames import bodies_of, moved_twist
 from ..reduction.tree.loop_constraints import jacobian_function
 from ..reduction.tree.momenta import bracket, centre_of_mass, momenta
 from ..reduction.tree.scalars import (

@@ -31,8 +31,8 @@ from ...lie.rotations import TAU
 from ...reduction.tree.body_frames import bodies_of
 from ...reduction.tree.loop_constraints import constraint_values, jacobian_function
 from ...simulation.closed_loops import refuse_singular_shapes
+from ...system.loops.independent_joints import LoopChart
 from ...system.loops.loop_assembly import describe_gap, loop_gaps, rate_units
-from ...system.loops.loop_chart import LoopChart
 from ...system.system import System
 from ..phases.gait import Gait
 from .connection import Connection

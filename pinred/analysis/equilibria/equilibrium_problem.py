@@ -41,8 +41,8 @@ from ...scene.scene import Scene
 from ...simulation.plan import Plan, plan_of
 from ...system.coordinates import PlacedJoint, ShapeSpace, shape_space
 from ...system.joints import axes_of
+from ...system.loops.kinematics import loop_kinematics
 from ...system.loops.loop_assembly import CLOSED, loop_gaps, rate_units
-from ...system.loops.looped_system import loop_kinematics
 from ...system.system import System
 
 Kind: TypeAlias = Literal["axis", "free", "heavy"]

@@ -47,7 +47,7 @@ from ...simulation.plan import plan_of
 from ...simulation.reduced_flow import Sample
 from ...simulation.trajectory import Trajectory
 from ...system.joints import BALL
-from ...system.loops.looped_system import loop_jacobian, loop_jacobian_rate
+from ...system.loops.kinematics import loop_jacobian, loop_jacobian_rate
 from ...system.state_fields import State
 from ...system.system import System
 

@@ -13,38 +13,36 @@ A release is the inverse without impulse.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
 import numpy as np
 import pinocchio as pin
-from dataclasses import dataclass
-from typing import Any
-from typing import TypeAlias
+
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
-from ...common.arrays import positive
+from ...common.arrays import Array, positive
 from ...common.errors import InputError
 from ...common.names import quoted
 from ...reduction.pointwise_reduction import mass_matrix_at
-from ...scene.scene import Scene
-from ...scene.scene import scene_of
-from ...system.assembly import renamed
-from ...system.assembly import reversed_balls
-from ...system.assembly import take_apart
-from ...system.derived_systems import Instant
-from ...system.derived_systems import Moving
-from ...system.derived_systems import Place
-from ...system.derived_systems import carry_state
-from ...system.derived_systems import cut
-from ...system.derived_systems import free_prefix
-from ...system.derived_systems import join
-from ...system.derived_systems import place_of
-from ...system.derived_systems import placements
-from ...system.derived_systems import same_motions
+from ...scene.scene import Scene, scene_of
+from ...system.assembly import renamed, reversed_balls, take_apart
+from ...system.derived_systems import (
+    Instant,
+    Moving,
+    Place,
+    carry_state,
+    cut,
+    free_prefix,
+    join,
+    place_of,
+    placements,
+    same_motions,
+)
 from ...system.joints import axes_of
-from ...system.system import System
-from ...system.system import checked_system
+from ...system.loops.kinematics import loop_jacobian
+from ...system.system import System, checked_system
 from ..over_time import OverTime
 from ..trajectory import Trajectory
-from ...system.loops.kinematics import loop_jacobian
 
 MEETING = 1e-6  # default largest distance of the frames that a capture joins [m], [rad]
 
