@@ -95,7 +95,10 @@ def build_kernel(
         graph = ReducedGraph(system, structure, forces, lanes)
         rate, outputs = graph.rate(), graph.outputs()
         meta = {"instructions": rate.n_instructions()}
-        codes = [compile_object(f, f.name(), lanes.marks[f.name()]) for f in (rate, outputs)]
+        codes = [
+            compile_object(f, f.name(), lanes.marks[f.name()], rare=f is outputs)
+            for f in (rate, outputs)
+        ]
         return _pack(json.dumps(meta).encode(), *codes)
 
     key = cache_key(model_bytes(system, structure.freed), json.dumps(settings))
