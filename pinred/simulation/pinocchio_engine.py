@@ -22,7 +22,7 @@ from ..common.waiting import Progress
 from ..forces.force_values import BaseInSpace, ForceInputs
 from ..forces.switch_times import time_within
 from ..integrators.methods import DOP853_LEAST
-from ..integrators.run_keeper import RunKeeper
+from ..integrators.solution import RunKeeper
 from ..lie.rotations import apply, rotation, unit
 from ..reduction.base_parts import base_parts, into_body, quaternion_rate, root_of
 from ..reduction.canonical_form import CanonicalForm

@@ -18,7 +18,6 @@ from ...common.machine_code import create_machine, emit_object
 from ...reduction.tree.identical_branches import Mark
 from .lowering import RESERVED, lower
 
-
 # Code of more instructions is divided into functions of PART lines of IR.  Kernels of most robots,
 # and of chains of 30 joints, have fewer.
 LONG, PART = 8000, 1000
