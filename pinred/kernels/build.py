@@ -18,11 +18,10 @@ from ..reduction.tree.loop_constraints import GAUGE_RATE, needs_second_solution
 from ..system.loops.kinematics import law_of, loop_ends
 from ..system.loops.loop import Loop
 from ..system.system import System, nominal
-from .kernel import Kernel
+from .kernel import Kernel, Structure, layout_of
 from .machine.native import compile_object
 from .reduced_graph import ReducedGraph
 from .reference_state import perturb_parameters
-from .state_layout import Structure, layout_of
 from .validation import explain_ill_scaling, validate_kernel
 
 

@@ -30,10 +30,10 @@ from ..reduction.tree.free_bodies import NOTHING, Freed, free_numbers, total_mas
 from ..reduction.tree.momenta import centre_of_mass, momenta
 from ..reduction.tree.scalars import Scalar
 from ..system.system import System, nominal
-from .base_graph import BaseGraph
 from .build import model_bytes
 from .evaluate import evaluate
 from .machine.native import compile_object
+from .reduced_graph import BaseGraph
 from .reference_state import length_of, perturb_parameters, steps_of
 from .validation import explain_ill_scaling, require_agreement
 

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
     from ..lie.group import Group
     from ..system.system import System
-    from .kernel import Kernel
-    from .state_layout import Layout
+    from .kernel import Kernel, Layout
 
 # Displacement from a closed shape at which kernels of robots with loops are compared, relative to
 # that of other robots, because equations of loops may be dependent far from closed shapes.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..kernels.state_layout import Layout
+from ..kernels.kernel import Layout
 from ..reduction.potential import falling
 from ..reduction.symmetric_balls import SymmetricBall, axial_among, rotors_among
 from ..scene.initial_state import large_angles

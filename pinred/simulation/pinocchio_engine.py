@@ -5,7 +5,7 @@ prescribed, in the frame of the centre of mass, and the integrated variables b o
 momenta and quaternions of balls come before b.
 
 `Base.rate` is the momentum equation μ̇ = μ × ω + N; reduction/base_parts.py explains the variables.
-The compiled engine has the same equations in kernels/base_graph.py.
+The compiled engine has the same equations in kernels/reduced_graph.py.
 """
 
 from __future__ import annotations

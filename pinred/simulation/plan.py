@@ -21,7 +21,7 @@ from ..forces.force_model import ForceModel, touched_by
 from ..forces.force_numbers import SpanNumbers
 from ..forces.switch_times import ROUND_OFF
 from ..integrators.methods import EqualSteps, ErrorControl, Method
-from ..kernels.state_layout import Layout, Structure, layout_of
+from ..kernels.kernel import Layout, Structure, layout_of
 from ..reduction.cyclic_joints import cyclic_of
 from ..reduction.potential import acting_gravity, pivot_weight
 from ..reduction.symmetric_balls import (

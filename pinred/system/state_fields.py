@@ -7,7 +7,7 @@ Files, labelled arrays, kernels and flows read names, axes and units from FIELDS
 1. Add it to FIELDS, to State (and to ShapeState if it does not need the base), to StateArrays,
    and to Outcome if flows differentiate it.
 2. Compute its value for the compiled engine in kernels/reduced_graph.py, or in
-   kernels/base_graph.py if it needs the base.
+   kernels/reduced_graph.py if it needs the base.
 3. Compute its value for the other engine in `states()` of simulation/pinocchio_engine.py.
 """
 

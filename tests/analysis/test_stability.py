@@ -19,7 +19,7 @@ from pinred.analysis.equilibria.relative_equilibrium import RelativeEquilibrium
 from pinred.analysis.stability.second_variation import second_variation
 from pinred.common.arrays import Array
 from pinred.forces import Damper
-from pinred.kernels.state_jacobian import jacobian_of
+from pinred.kernels.derived_code import jacobian_of
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
 

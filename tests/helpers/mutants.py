@@ -110,7 +110,7 @@ TESTS: dict[str, list[str]] = {
         "integrators/test_batches.py",
     ],
     "integrators/stepping/run_state": ["integrators/test_run_record.py"],
-    "integrators/stepping/replay": [
+    "integrators/stepping/state_rows": [
         "integrators/test_run_derivatives.py", "simulation/test_step_map.py",
         "simulation/test_flow_map.py",
     ],
@@ -118,7 +118,6 @@ TESTS: dict[str, list[str]] = {
         "integrators/test_run_derivatives.py", "simulation/test_step_map.py",
         "simulation/test_flow_map.py",
     ],
-    "kernels/lane_derivatives": ["kernels/test_identical_branches.py"],
     "integrators": [
         "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
         "integrators/test_steppers.py", "integrators/test_batches.py",

@@ -39,9 +39,8 @@ from pinred.integrators.stepping.linear_systems import factor, factor_complex, s
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.kernels import derived_code as tangent
-from pinred.kernels.derived_code import tangent_of
+from pinred.kernels.derived_code import jacobian_of, tangent_of
 from pinred.kernels.machine import native
-from pinred.kernels.state_jacobian import jacobian_of
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of

@@ -34,8 +34,7 @@ from pinred.integrators.stepping.step_loop import OUTCOME
 from pinred.kernels.build import build_kernel
 from pinred.kernels.device import cuda_driver, device_code
 from pinred.kernels.device.few_rows import stepper_with_few_rows
-from pinred.kernels.kernel import Kernel
-from pinred.kernels.state_layout import Structure
+from pinred.kernels.kernel import Kernel, Structure
 
 _EXTERN = b".extern"  # of functions that another module defines
 

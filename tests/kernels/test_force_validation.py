@@ -15,7 +15,7 @@ from pinred.forces import ComputedTorque, Wrench, force_model, inverse_dynamics
 from pinred.forces.force_model import ForceModel
 from pinred.forces.force_numbers import RobotSymbols
 from pinred.kernels.build import build_kernel
-from pinred.kernels.state_layout import Structure
+from pinred.kernels.kernel import Structure
 from pinred.reduction.tree.free_bodies import Freed
 
 FAULT = 1.0 + 3e-10  # three times the tolerance

@@ -18,10 +18,10 @@ from trees import inertia, limbed_model, mirrored_model, placement, unequal_limb
 import pinred
 from pinred.common.arrays import Array
 from pinred.common.machine_code import load_object
-from pinred.kernels.lane_derivatives import adjoint_in_lanes, tangent_in_lanes
+from pinred.kernels.differentiable import adjoint_in_lanes, tangent_in_lanes
+from pinred.kernels.kernel import Structure
 from pinred.kernels.machine.native import compile_object
 from pinred.kernels.reduced_graph import ReducedGraph
-from pinred.kernels.state_layout import Structure
 from pinred.reduction.tree.body_frames import bodies_of, cosine, sine
 from pinred.reduction.tree.identical_branches import Lanes, Mark, links_of
 from pinred.reduction.tree.scalars import Turn

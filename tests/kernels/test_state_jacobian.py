@@ -12,10 +12,10 @@ from trees import limbed_model
 import pinred
 from pinred.common.errors import KernelMismatch
 from pinred.forces import PD, Torque, Wrench
-from pinred.kernels import state_jacobian as graphs
+from pinred.kernels import derived_code as graphs
+from pinred.kernels.derived_code import jacobian_code, jacobian_of
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.reduced_graph import ReducedGraph
-from pinred.kernels.state_jacobian import jacobian_code, jacobian_of
 from pinred.reduction.tree.sweep_jacobian import sweep_jacobian
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of

@@ -11,8 +11,8 @@ from ball_trees import ball_tree, random_body
 import pinred
 from pinred import InputError, ModelError
 from pinred.common.arrays import Array
+from pinred.kernels.kernel import Structure
 from pinred.kernels.reduced_graph import ReducedGraph
-from pinred.kernels.state_layout import Structure
 from pinred.reduction.inertia_split import mass_matrix
 from pinred.reduction.tree.identical_branches import Lanes
 from pinred.reduction.tree.momenta import momenta

@@ -20,9 +20,8 @@ from ...common.errors import InputError, IntegrationError
 from ...integrators.methods import DOP853
 from ...integrators.stepping.compiling import compiled
 from ...integrators.stepping.kernel_call import SEEDS, call, call_tangent
-from ...kernels.derived_code import tangent_of
+from ...kernels.derived_code import jacobian_of, tangent_of
 from ...kernels.evaluate import evaluate
-from ...kernels.state_jacobian import jacobian_of
 from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of

@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array
-from ...kernels.kernel import Kernel
-from ...kernels.state_layout import Layout
+from ...kernels.kernel import Kernel, Layout
 from ...reduction.base_parts import BaseParts
 from ...reduction.inertia_split import mass_matrix, usual_inertias
 from ...reduction.tree.loop_constraints import GAUGE_RATE

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array, FrozenArrays
-from ...kernels.state_layout import Layout
+from ...kernels.kernel import Layout
 from ...system.coordinates import ShapeSpace
 from ...system.joints import BALL
 from .linearised_flow import Linearisation, eigen, eigenvalue_errors, norm

@@ -22,12 +22,10 @@ from ...integrators.stepping.compiling import compiled
 from ...integrators.stepping.kernel_call import SEEDS, call, call_slopes
 from ...integrators.stepping.linear_systems import jacobian
 from ...kernels.build import build_kernel
-from ...kernels.derived_code import tangent_of
-from ...kernels.differentiable import repeat_adjoint
-from ...kernels.evaluate import repeat
+from ...kernels.derived_code import jacobian_code, tangent_of
+from ...kernels.evaluate import repeat, repeat_adjoint
 from ...kernels.flow_functions import rate_of
 from ...kernels.reduced_graph import ReducedGraph
-from ...kernels.state_jacobian import jacobian_code
 from ...reduction.tree.free_bodies import STEP, Freed, pattern_of
 from ...simulation.flow_map.flow import Flow, flow
 from ...simulation.simulate import simulate

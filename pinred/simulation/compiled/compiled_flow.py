@@ -31,8 +31,7 @@ from ...kernels.initial_conditions import (
     InitialConditionsKernel,
     initial_conditions_kernel,
 )
-from ...kernels.kernel import Kernel, Outputs, in_given_order
-from ...kernels.state_layout import Layout
+from ...kernels.kernel import Kernel, Layout, Outputs, in_given_order
 from ...reduction.base_parts import into_body, root_of
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start

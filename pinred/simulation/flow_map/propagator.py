@@ -27,8 +27,7 @@ from ...integrators.run_derivatives import (
 )
 from ...integrators.solution import Solution
 from ...kernels.derived_code import expect_code, tangent_of
-from ...kernels.differentiable import _call_in_batches, call_value
-from ...kernels.evaluate import evaluate
+from ...kernels.evaluate import call_in_batches, call_value, evaluate
 from ...kernels.flow_functions import (
     Row,
     initial_conditions_of,
@@ -722,7 +721,7 @@ def expect_along(propagator: Propagator, rows: tuple[Row, ...], count: int) -> N
     outcome = outcome_of(propagator.kernel, rows)
     expect_tangents(method, count)
     column, matrix = np.empty(1), np.empty((1, 1))
-    expect(_call_in_batches, 1, column, column, *[matrix] * 6)
+    expect(call_in_batches, 1, column, column, *[matrix] * 6)
     if isinstance(method, Explicit):
         expect_code(field.pair if count == 1 else field.tangent)
     else:

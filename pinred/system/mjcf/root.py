@@ -15,7 +15,8 @@ import pinocchio as pin
 
 from ...common.arrays import Array
 from ...lie.group import Group
-from ...lie.planar_groups import SE2, RxSE2
+from ...lie.planar_groups import SE2
+from ...lie.r_se2 import RxSE2
 from ..joints import root_joint
 from . import rotors
 from .mujoco_joints import Joint, frame, quaternion, wxyz
