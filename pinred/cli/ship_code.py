@@ -29,8 +29,7 @@ from ..forces.kinds import Torque
 from ..forces.signals.tabulated import Hold
 from ..integrators.methods import DOP853, METHODS, Explicit, Tsit5
 from ..integrators.stepping import shipped_code
-from ..integrators.stepping.call_wrapper import ArgumentType
-from ..integrators.stepping.shipped_code import Bitcode
+from ..integrators.stepping.call_wrapper import ArgumentType, Bitcode
 from ..judge.compare import compare
 from ..kernels.device.device_code import loop_arguments
 from ..kernels.device.few_rows import stepper_with_few_rows

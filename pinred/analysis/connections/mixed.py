@@ -29,7 +29,6 @@ from ...common.arrays import Array, FrozenArrays, positive, read_only, vector, v
 from ...common.differences import central_differences
 from ...common.errors import InputError, IntegrationError, SingularInertiaError
 from ...common.machine_code import NativeCode, load_object
-from ...kernels.connection.connection_validation import TrialShape, trial_shapes
 from ...kernels.connection.connection_form import (
     along_frame,
     coordinate_rates,
@@ -37,6 +36,7 @@ from ...kernels.connection.connection_form import (
     health,
     solve_locked,
 )
+from ...kernels.connection.connection_validation import TrialShape, trial_shapes
 from ...kernels.evaluate import evaluate
 from ...kernels.machine.native import compile_object
 from ...kernels.reference_state import length_of, steps_of

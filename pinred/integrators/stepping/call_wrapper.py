@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -173,6 +173,18 @@ class _Method(ctypes.Structure):
         ("flags", ctypes.c_int),
         ("doc", ctypes.c_char_p),
     ]
+
+
+class Bitcode(NamedTuple):
+    """Optimised code of a function.
+
+    Attributes:
+        result: Name of the type of the result.
+        module: LLVM bitcode.
+    """
+
+    result: str
+    module: bytes
 
 
 class CallWrapper:

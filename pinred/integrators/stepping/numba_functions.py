@@ -22,8 +22,7 @@ from numba.core import compiler
 from numba.core import types as numba_types
 from numba.extending import intrinsic
 
-from .call_wrapper import COMPILED, RESULTS, ArgumentType, ArrayType, NumberType
-from .shipped_code import Bitcode
+from .call_wrapper import COMPILED, RESULTS, ArgumentType, ArrayType, Bitcode, NumberType
 
 _LEVEL = 3  # of LLVM's optimisation, as in numba
 # The CPU whose costs decide how code is optimised. Its instructions are not assumed: machine code

@@ -14,33 +14,28 @@ from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import llvmlite.binding as llvm
 import numpy as np
 
-from ...common.compile_notice import notice_of_compiling
 from ...common.cpu_target import cpu_target
 from ...common.errors import UnsupportedOperationError
 from ...common.machine_code import LLVM_LOCK, create_machine, load_object, parse_bitcode
 from ...common.object_cache import ObjectCache
 from ...common.optional_packages import install_command, require_package
 from ...common.version import __version__
-from .call_wrapper import COMPILED, WRAPPER, ArgumentType, CallWrapper, objects_are_as_expected
+from ...common.waiting import notice_of_compiling
+from .call_wrapper import (
+    COMPILED,
+    WRAPPER,
+    ArgumentType,
+    Bitcode,
+    CallWrapper,
+    objects_are_as_expected,
+)
 
 FOLDER = Path(__file__).parent.parent / "shipped"
-
-
-class Bitcode(NamedTuple):
-    """Optimised code of a function.
-
-    Attributes:
-        result: Name of the type of the result.
-        module: LLVM bitcode.
-    """
-
-    result: str
-    module: bytes
 
 
 def shipped_name(

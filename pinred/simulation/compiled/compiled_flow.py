@@ -31,7 +31,7 @@ from ...kernels.initial_conditions import (
     InitialConditionsKernel,
     initial_conditions_kernel,
 )
-from ...kernels.kernel import Kernel, Layout, Outputs, in_given_order
+from ...kernels.kernel import Kernel, Layout, in_given_order
 from ...reduction.base_parts import into_body, root_of
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
@@ -423,7 +423,10 @@ class CompiledFlow:
         system, where = self.kernel.system, self.kernel.where
         outputs = self.outputs(t, y, parameters)
         state_class = State if self.kernel.layout.base_requested else ShapeState
-        fields = {name: read_field(where, name, outputs, system) for name in where.fields}
+        fields = {
+            name: in_given_order(name, outputs[..., entries], system)
+            for name, entries in where.fields.items()
+        }
         return state_class(t=t.copy(), **fields)
 
     def fill_states(
@@ -463,7 +466,8 @@ class CompiledFlow:
             constants = np.concatenate([self.parameters[chunk], self.path[chunk]], axis=1)
             evaluate_runs(kernel.outputs.address, constants, y[chunk], times, layout.size, outputs)
             for name, field in fields.items():
-                field[members[chunk]] = read_field(where, name, outputs, kernel.system)
+                entries = outputs[..., where.fields[name]]
+                field[members[chunk]] = in_given_order(name, entries, kernel.system)
 
     def rates(self, t: Array, y: Array, parameters: Array) -> Array:  # noqa: ARG002
         """Return dy/dt, (T, k), at reduced states (T, k), which contain the time if needed."""
@@ -493,20 +497,6 @@ class CompiledFlow:
             layout.constant_pi,
             layout.prescribed,
         )
-
-
-def read_field(where: Outputs, name: str, outputs: Array, system: System) -> Array:
-    """Extract a field of State, with joints in the order of the robot's original model.
-
-    Args:
-        where: Slices of the outputs of the kernel.
-        name: Name of the field, except "t".
-        outputs: Outputs of the kernel, (…, size).
-        system: The system of the kernel.
-    Returns:
-        The field: (…,) for scalars, else (…, length of the field's axis).
-    """
-    return in_given_order(name, outputs[..., where.fields[name]], system)
 
 
 def rate_address(kernel: Kernel, method: Method) -> int:

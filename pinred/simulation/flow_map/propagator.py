@@ -37,12 +37,12 @@ from ...kernels.flow_functions import (
     sizes_of,
 )
 from ...kernels.initial_conditions import TwistOrMomentum
-from ...kernels.kernel import Kernel, Outputs
+from ...kernels.kernel import Kernel, Outputs, in_given_order
 from ...system.coordinates import Indices
 from ...system.state_fields import Outcome, ShapeState, State, arrays_of, map_arrays
 from ...system.system import System
 from ..compiled.code_ahead import expect, expect_cotangents, expect_tangents
-from ..compiled.compiled_flow import CompiledFlow, kernel_of, rate_address, read_field
+from ..compiled.compiled_flow import CompiledFlow, kernel_of, rate_address
 from ..compiled.integrator import explained, wild_steps
 from ..members.integrate_members import integrate_members
 from ..plan import Plan, Span, spans_between
@@ -251,7 +251,7 @@ def lazy_state(
             return np.array(t)
         if not computed:
             computed.append(outputs())
-        return read_field(where, name, computed[0], system)
+        return in_given_order(name, computed[0][..., where.fields[name]], system)
 
     return LazyState(read) if wanted else LazyShapeState(read)
 
