@@ -275,6 +275,19 @@ def test_jacobian_at_short_pulses_is_not_compared(width: float, part: float) -> 
     tangent_of(kernel_with([float(at.x[0]) - 0.7 * width for at in states if at is not None]))
 
 
+def test_jacobian_near_infinite_forces_is_not_compared() -> None:
+    """Differences of rates that overflow are not finite: these states are left out in silence."""
+
+    def torque(_t: Any, x: Any, _xdot: Any, _mu: Any) -> list[Any]:
+        return [ca.exp(4000.0 * x[0])]
+
+    scene = pinred.Scene(system=pinred.load("cartpole"), seed=0, forces=Torque(torque))
+    kernel, rng = kernel_of(plan_of(scene), zero_momentum=False), np.random.default_rng(0)
+    states = [random_state(kernel, rng, 1.0) for _ in range(2)]
+    assert any(at is not None and 0.17 < at.x[0] < 0.175 for at in states)
+    tangent_of(kernel)
+
+
 def test_two_states_are_compared() -> None:
     """Derivatives are compared at two states."""
     kernel, states = build("tree"), []
