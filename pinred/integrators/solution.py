@@ -1,4 +1,4 @@
-"""Solution: the result of one integration, with dense output."""
+"""Solution: the result of one integration, with dense output; the states of saved runs."""
 
 from __future__ import annotations
 

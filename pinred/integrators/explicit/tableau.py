@@ -1,4 +1,11 @@
-"""The Butcher tableau of an explicit Runge–Kutta method, with error weights and dense output."""
+"""The Butcher tableau of an explicit Runge–Kutta method; the tableaus of DOP853 and Tsit5.
+
+DOP853 is Dormand and Prince's method of order 8(5,3) in Hairer's form: E. Hairer, S. P. Nørsett,
+G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., Springer 1993, sections II.5 and
+II.6, and Hairer's code dop853.f. Tsit5 is from Ch. Tsitouras, Runge–Kutta pairs of order 5(4)
+satisfying only the first column simplifying assumption, Comput. Math. Appl. 62 (2011) 770–775,
+which contains the pair of methods and an interpolant of order 4 without additional stages.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,20 @@
-"""Fixed-point iteration to round-off: stages of a step, their tangents, and their covectors.
+"""Sensitivities of the steps of Gauss's methods, forward and back, by the implicit function theorem.
+
+For a step Y_i = y + Σ μ_ij L_j with L_j = h b_j f(Y_j), y₁ = y + Σ L_j (see `tables` for μ), a
+tangent δy is propagated by
+
+    δY_i = δy + Σ μ_ij δL_j,    δL_j = h b_j (J_j δY_j + ∂f/∂p δp),    δy₁ = δy + Σ δL_j,
+
+and a covector λ₁ of y₁ is propagated back by the same equations with μ transposed,
+
+    Λ_j = λ₁ + Σ μ_ij Z_i,    Z_i = h b_i (∂f/∂y)ᵀ Λ_i,    λ = λ₁ + Σ Z_i.
+
+Fixed-point iteration solves the equations to round-off, whatever tolerance the integrator used. The
+results are thus derivatives of the converged steps. All stages are evaluated at once, in SIMD
+lanes. A state inside a step is the end of a shorter step. In the backward pass, the first guess of
+L is the L that the run has stored. If the run has stored none, it is extrapolated from the step
+treated before. The first guess of Z is extrapolated, too. E. Hairer, C. Lubich, G. Wanner,
+Geometric Numerical Integration, 2nd ed., section VI.4.
 
 The three systems of equations have the form V_i = v + Σ T_ij Z_j, Z_j = h b_j g(V_j). For the
 stages, v is the state, T is μ (see `tables`), and g the vector field. For tangents, v is a

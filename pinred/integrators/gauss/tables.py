@@ -6,6 +6,9 @@ The step is written in terms of L_j = h b_j f(Y_j): Y_i = y + Σ_j μ_ij L_j, y�
 μ_ij + μ_ji = 1. Here this holds for the floating-point numbers, too (M. Antoñana, J. Makazaga,
 A. Murua, Reducing and monitoring round-off error propagation for symplectic implicit
 Runge–Kutta schemes, Numer. Algorithms 76 (2017) 861–880).
+
+The work rows of a step contain the tables. A stage row stores the value of entry i at stage j as
+number i·lanes + j. Kernels that evaluate all stages at once use the same layout.
 """
 
 from __future__ import annotations

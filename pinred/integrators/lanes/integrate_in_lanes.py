@@ -1,4 +1,10 @@
-"""integrate_in_lanes(): integrate a batch with an explicit method, in SIMD lanes and threads."""
+"""integrate_in_lanes(): integrate a batch with an explicit method, in SIMD lanes and threads.
+
+Each member has its own step length. All threads take members from one queue. A thread takes as
+many members at a time as it has lanes, and computes their initial rates and first steps together. A
+lane uses only its own values, so the result of a member depends neither on the lane nor on the
+other members.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The work rows that contain the states at both ends of a step, and operations on states."""
+"""The work rows that contain the states at both ends of a step, and operations on states.
+
+Steps with fixed lengths are repeated with tangents and covectors: `Replay` and what follows it.
+"""
 
 from __future__ import annotations
 
