@@ -1,4 +1,4 @@
-"""Sensitivities of the steps of Gauss's methods, forward and back, by the implicit function theorem.
+"""Sensitivities of steps of Gauss's methods, forward and back, by the implicit function theorem.
 
 For a step Y_i = y + Σ μ_ij L_j with L_j = h b_j f(Y_j), y₁ = y + Σ L_j (see `tables` for μ), a
 tangent δy is propagated by
