@@ -93,7 +93,7 @@ from .judge.compare import compare as compare
 from .judge.compare_chain import ChainReport as ChainReport
 from .judge.compare_chain import ImpactReport as ImpactReport
 from .judge.verdict import Report as Report
-from .kernels.casadi_functions import casadi_functions as casadi_functions
+from .kernels.reduced_graph import casadi_functions as casadi_functions
 from .planning.gait_file import GaitFile as GaitFile
 from .planning.gait_file import gait_schema as gait_schema
 from .planning.gait_file import load_gait as load_gait

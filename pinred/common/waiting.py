@@ -379,3 +379,12 @@ class _Notebook:
 def _line(title: str, part: float) -> str:
     full = round(_WIDTH * part)
     return f"{title} {'█' * full}{'·' * (_WIDTH - full)} {100 * part:3.0f} %"
+
+
+def notice_of_compiling(what: str) -> Wait:
+    """Return the wait for a compilation.
+
+    Args:
+        what: What is compiled, such as "the equations of 'solo12'".
+    """
+    return Wait(f"compiles {what}; the next process finds the result in its cache")

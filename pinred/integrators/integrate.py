@@ -24,15 +24,21 @@ from ..common.errors import (
     TooManySteps,
 )
 from .methods.method import ErrorControl, Method, registers_of, stepper_of
-from .run_keeper import RunKeeper, SavedRun, saved_state, unpacked_registers
-from .solution import Solution, checked_times
-from .stepping.codes import AUTO, DIVERGED, DONE, FIXED_POINT, FULL, NOT_FINITE, UNDERFLOW, WANTED
+from .solution import RunKeeper, SavedRun, Solution, checked_times, saved_state, unpacked_registers
 from .stepping.run_state import (
+    AUTO,
+    DIVERGED,
+    DONE,
     ENDS_KEPT,
+    FIXED_POINT,
+    FULL,
     LAYOUT,
     NOT_CANONICAL,
+    NOT_FINITE,
     NOTHING_KEPT,
     STAGES_KEPT,
+    UNDERFLOW,
+    WANTED,
     Canonical,
     Runs,
     new_run,

@@ -26,8 +26,17 @@ from .integrate import (
 )
 from .methods.method import Method, stepper_of
 from .solution import checked_times
-from .stepping.codes import DIVERGED, DONE, NOT_FINITE, PAUSED, TOO_MANY, UNDERFLOW
-from .stepping.run_state import NOT_CANONICAL, Canonical, copied
+from .stepping.run_state import (
+    DIVERGED,
+    DONE,
+    NOT_CANONICAL,
+    NOT_FINITE,
+    PAUSED,
+    TOO_MANY,
+    UNDERFLOW,
+    Canonical,
+    copied,
+)
 from .stepping.state_rows import Quaternions
 from .stepping.step_loop import OUTCOME, Batch
 

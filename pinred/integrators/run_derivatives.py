@@ -17,14 +17,11 @@ from ..common.errors import InputError, NoConvergence
 from .explicit import forward_sensitivities as explicit
 from .explicit.adjoint_sweep import adjoint_sweep_of
 from .explicit.forward_sensitivities import weights_of
-from .gauss import adjoint_steps as gauss_reverse
-from .gauss import stage_sensitivities as gauss
-from .gauss.fixed_points import sensitivity_rows
+from .gauss import sensitivities as gauss
 from .methods import AdaptiveGauss, Explicit, Gauss, Method
 from .solution import Solution
 from .stepping.kernel_call import SEEDS, from_lanes, to_lanes
-from .stepping.replay import Replay, across
-from .stepping.state_rows import Quaternions
+from .stepping.state_rows import Quaternions, Replay, across
 
 
 @dataclass(frozen=True)
@@ -142,7 +139,7 @@ def run_along(
     tangents = (y, directions, np.ascontiguousarray(along_params.T), out, out_along)
     slopes = field.tangents(lanes) if count else 0
     starts = read_only(np.empty((0, n)) if states is None else np.ascontiguousarray(states).view())
-    rows = sensitivity_rows(stages, n)
+    rows = gauss.sensitivity_rows(stages, n)
     failed = gauss.forward(replay, slopes, lanes, starts, tangents, rows)
     _refuse_failed(failed, knots, y)
     return Along(out, np.moveaxis(out_along, 1, 2), y, directions.T)
@@ -182,8 +179,8 @@ def run_back(
         adjoint.sweep(replay, field.adjoint(), dense, back, adjoint.rows(n), w)
     else:
         stages, _ = _stages_of(method)
-        rows = sensitivity_rows(stages, n)
-        failed = gauss_reverse.reverse(replay, field.adjoints(lanes), stages, lanes, back, rows)
+        rows = gauss.sensitivity_rows(stages, n)
+        failed = gauss.reverse(replay, field.adjoints(lanes), stages, lanes, back, rows)
         _refuse_failed(failed, knots, stored[max(failed - 1, 0), :n])
     across(stored[0, :n], field.quaternions, covector, 1)  # the initial state is normalised
     return Back(covector, by_params)

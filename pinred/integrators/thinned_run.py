@@ -16,9 +16,8 @@ from ..common.arrays import Array, read_only
 from ..common.errors import IntegrationError
 from .integrate import Progress, Tangent, begun_by, failure, give_tangent
 from .methods.method import EqualSteps, stepper_of
-from .run_keeper import RunKeeper, SavedRun, packed_registers, unpacked_registers
-from .stepping.codes import DONE, UNDERFLOW, WANTED
-from .stepping.run_state import Canonical, Runs, copied
+from .solution import RunKeeper, SavedRun, packed_registers, unpacked_registers
+from .stepping.run_state import DONE, UNDERFLOW, WANTED, Canonical, Runs, copied
 from .stepping.state_rows import Quaternions, Y
 
 MOST_COPIES = 64  # largest number of copies of the registers and work rows of a run

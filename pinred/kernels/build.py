@@ -18,11 +18,10 @@ from ..reduction.tree.loop_constraints import GAUGE_RATE, needs_second_solution
 from ..system.loops.kinematics import law_of, loop_ends
 from ..system.loops.loop import Loop
 from ..system.system import System, nominal
-from .kernel import Kernel
+from .kernel import Kernel, Structure, layout_of
 from .machine.native import compile_object
 from .reduced_graph import ReducedGraph
 from .reference_state import perturb_parameters
-from .state_layout import Structure, layout_of
 from .validation import explain_ill_scaling, validate_kernel
 
 
@@ -95,7 +94,10 @@ def build_kernel(
         graph = ReducedGraph(system, structure, forces, lanes)
         rate, outputs = graph.rate(), graph.outputs()
         meta = {"instructions": rate.n_instructions()}
-        codes = [compile_object(f, f.name(), lanes.marks[f.name()]) for f in (rate, outputs)]
+        codes = [
+            compile_object(f, f.name(), lanes.marks[f.name()], rare=f is outputs)
+            for f in (rate, outputs)
+        ]
         return _pack(json.dumps(meta).encode(), *codes)
 
     key = cache_key(model_bytes(system, structure.freed), json.dumps(settings))

@@ -4,7 +4,9 @@ The code is compiled on demand, cached on disk, and validated against the kernel
 
 The derivative of the vector field along several directions serves Newton's method.  Each SIMD lane
 computes one direction: the Jacobian of a state of size n needs n/8 evaluations and is exact to
-round-off.
+round-off.  Kernels of open trees of hinges and slides have the Jacobian as CasADi expressions, by a
+recursion: the chain rule connects the derivatives of the sweep (see
+reduction/tree/articulated_sweep.py) with those of forces and of the base, which CasADi computes.
 
 The vector field at several states has one state per lane.  Methods with parallel stages use one
 parameter vector for all lanes; batches of runs use one parameter vector per lane.  Because the
@@ -14,7 +16,7 @@ states occupy the lanes, identical branches of the robot are not packed into lan
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextvars import ContextVar
 from dataclasses import asdict
 from functools import partial
@@ -29,11 +31,17 @@ from ..common.errors import InputError, KernelMismatch
 from ..common.machine_code import NativeCode, load_object
 from ..common.memo import once
 from ..common.object_cache import ObjectCache, cache_key
+from ..forces.force_model import ForceModel
 from ..integrators.stepping import linear_systems
 from ..integrators.stepping.kernel_call import SEEDS
+from ..reduction.tree.body_frames import bodies_of
+from ..reduction.tree.identical_branches import Lanes, Mark
+from ..reduction.tree.scalars import Mat
+from ..reduction.tree.sweep_jacobian import sweep_jacobian
+from ..system.system import System
 from .build import model_bytes, perturbed
-from .evaluate import evaluate
-from .kernel import Kernel
+from .evaluate import call_value, evaluate
+from .kernel import Kernel, Structure, layout_of
 from .machine.native import compile_object, generate, lowered
 from .reduced_graph import ReducedGraph
 from .reference_state import ReferenceState, random_state
@@ -193,9 +201,9 @@ def validate_jacobian(kernel: Kernel, jacobian: Callable[[Array, Array], Array])
 
         start = np.zeros(size)
         values = jacobian(at.y, at.parameters) * at.sizes.time / units[:, None] * units
-        rough, expected = (central_differences(rate_at, start, h) for h in (2.0 * _STEP, _STEP))
-        # Differences are inaccurate where a force has a kink or is undefined.
-        with np.errstate(invalid="ignore"):
+        # Differences are inaccurate where a force has a kink, and not finite where it is undefined.
+        with np.errstate(all="ignore"):
+            rough, expected = (central_differences(rate_at, start, h) for h in (2.0 * _STEP, _STEP))
             noise = round_off_near(rate_at, size) / _STEP
             bound = _TOLERANCE * np.abs(expected).max(axis=0, initial=0.0) + noise
             smooth = np.abs(rough - expected).max(axis=0, initial=0.0) <= bound
@@ -297,3 +305,103 @@ def _validate_wide_rate(
                     who = f"the kernel of '{kernel.system.name}' at {lanes} states at once"
                     raise KernelMismatch(f"{who}, in lane {lane}: {error}") from None
                 validated.add((i, rate.tobytes()))
+
+
+def has_recursion(system: System, structure: Structure, forces: ForceModel | None) -> bool:
+    """Return whether `jacobian_graph` supports a system and structure.
+
+    Balls, joints that follow others, closed loops, prescribed joints and variable bodies are not
+    supported.
+    """
+    followers = system.space.balls or system.coupled is not None or system.closure is not None
+    prescribed = layout_of(system, structure, forces).prescribed
+    return not (followers or prescribed or structure.freed)
+
+
+def jacobian_graph(
+    system: System, structure: Structure, forces: ForceModel | None
+) -> tuple[ca.Function, Sequence[Mark]]:
+    """Build the Jacobian of the vector field.
+
+    Args:
+        system: The system.
+        structure: Structure of the reduced equations, for which `has_recursion` is true.
+        forces: Forces on the system, or None.
+    Returns:
+        Function (y, parameters) → ∂ẏ/∂y, row by row, and its marks.
+    """
+    lanes = Lanes(joins=False)
+    graph = ReducedGraph(system, structure, forces, lanes, cut=True)
+    y, cuts = graph.y, graph.cuts
+    sweep = _matrix(sweep_jacobian(graph.swept, bodies_of(system), system.group.axes, lanes))
+    through = sweep @ ca.jacobian(graph.sweep_inputs, y)
+    jacobian = ca.jacobian(graph.rates, y) + ca.jacobian(graph.rates, cuts) @ through
+    (jacobian,) = ca.substitute([jacobian], [cuts], [graph.sweep_results])
+    column = ca.vec(ca.densify(jacobian).T)
+    function = lanes.function("jacobian", [y, graph.parameters], column)
+    return function, lanes.marks["jacobian"]
+
+
+def _matrix(rows: Mat) -> ca.SX:
+    """Return a matrix without its entries that are exactly zero."""
+    entries = [
+        (i, k, entry)
+        for i, row in enumerate(rows)
+        for k, entry in enumerate(row)
+        if not (isinstance(entry, float) and entry == 0.0)
+    ]
+    at = [i for i, _, _ in entries], [k for _, k, _ in entries]
+    matrix = ca.SX.zeros(ca.Sparsity.triplet(len(rows), len(rows), *at))
+    for i, k, entry in entries:
+        matrix[i, k] = entry
+    return matrix
+
+
+def jacobian_of(kernel: Kernel, y: Array, parameters: Array) -> Array:
+    """Compute the Jacobian of the vector field.
+
+    A recursion over the tree computes it.  Structures that the recursion does not support use
+    `tangent_of`, with eight columns at once.
+
+    Args:
+        kernel: The kernel, already validated against Pinocchio.
+        y: Reduced state, (size,).
+        parameters: Parameters, (p,).
+    Returns:
+        (size, size): ∂ẏ/∂y.
+    Raises:
+        KernelMismatch: The code disagrees with differences of the kernel.
+        InputError: The forces are not differentiable at most random states.
+    """
+    if not has_recursion(kernel.system, kernel.structure, kernel.forces):
+        return jacobian_by_columns(tangent_of(kernel), y, parameters)
+    return _evaluate(jacobian_code(kernel), y, parameters)
+
+
+def jacobian_code(kernel: Kernel) -> NativeCode:
+    """Return machine code (y, parameters) → ∂ẏ/∂y, row by row, compiled and validated once.
+
+    Args:
+        kernel: A kernel for which `has_recursion` is true.
+    Returns:
+        The machine code.
+    """
+
+    def compile_code() -> bytes:
+        function, marks = jacobian_graph(kernel.system, kernel.structure, kernel.forces)
+        return compile_object(function, "jacobian", marks)
+
+    return derived_code(
+        kernel,
+        "jacobian",
+        {"jacobian": 1},
+        lambda _: compile_code(),
+        lambda native: validate_jacobian(kernel, partial(_evaluate, native)),
+    )
+
+
+def _evaluate(native: NativeCode, y: Array, parameters: Array) -> Array:
+    matrix = np.empty((len(y), len(y)))
+    y, parameters = np.ascontiguousarray(y), np.ascontiguousarray(parameters)
+    call_value(native.address, y, parameters, matrix.ravel())
+    return matrix

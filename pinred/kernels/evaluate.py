@@ -1,4 +1,4 @@
-"""Evaluation of machine code at many states, and along unit joint rates at many shapes."""
+"""Compiled calls of kernels and of their derivatives: at many states, along many directions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,15 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..integrators.stepping.compiling import compiled
-from ..integrators.stepping.kernel_call import SEEDS, call, call_tangent
+from ..integrators.stepping.kernel_call import (
+    SEEDS,
+    call,
+    call_adjoint,
+    call_slopes,
+    call_tangent,
+    from_lanes,
+    to_lanes,
+)
 
 
 def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
@@ -103,6 +111,69 @@ def _repeat(address: int, parameters: Array, y: Array, out: Array, count: int) -
 def _evaluate_all(address: int, parameters: Array, y: Array, out: Array, stride: int) -> None:
     for k in range(len(y)):
         call(address, y[k], parameters[k * stride], out[k])
+
+
+@compiled
+def call_value(address: int, a: Array, b: Array, out: Array) -> None:
+    """Evaluate machine code (a, b, result) into `out`.
+
+    Args:
+        address: Address of the machine code.
+        a: First column.
+        b: Second column.
+        out: Receives the result.
+    """
+    call(address, a, b, out)
+
+
+@compiled
+def repeat_adjoint(
+    address: int, a: Array, b: Array, covector: Array, out: Array, count: int
+) -> None:
+    """Evaluate an adjoint repeatedly, for timing.
+
+    Args:
+        address: Address of the machine code.
+        a: First column.
+        b: Second column.
+        covector: λ.
+        out: Receives the derivatives.
+        count: Number of evaluations.
+    """
+    for _ in range(count):
+        call_adjoint(address, a, b, covector, out)
+
+
+@compiled
+def call_forward(address: int, a: Array, b: Array, da: Array, db: Array, out: Array) -> None:
+    """Evaluate a tangent (a, b, δa, δb, result) into `out`."""
+    call_slopes(address, a, b, da, db, out)
+
+
+@compiled
+def call_in_batches(
+    address: int,
+    a: Array,
+    b: Array,
+    da: Array,
+    db: Array,
+    seeds_a: Array,
+    seeds_b: Array,
+    lanes: Array,
+    out: Array,
+) -> None:
+    """Compute derivatives (size, N) along directions (…, N), SEEDS directions at once."""
+    to_lanes(da, seeds_a)
+    to_lanes(db, seeds_b)
+    for k in range(lanes.shape[0]):
+        call_slopes(address, a, b, seeds_a[k], seeds_b[k], lanes[k])
+    from_lanes(lanes, out)
+
+
+@compiled
+def call_reverse(address: int, a: Array, b: Array, covector: Array, out: Array) -> None:
+    """Evaluate an adjoint (a, b, covector, result) into `out`."""
+    call_adjoint(address, a, b, covector, out)
 
 
 WIDTH = SEEDS  # number of directions that one call evaluates

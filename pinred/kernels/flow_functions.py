@@ -24,14 +24,12 @@ from ..reduction.tree.scalars import quaternion_rate
 from ..system.coordinates import ShapeSpace
 from ..system.state_fields import Outcome, derivative_rows
 from ..system.system import System
-from .base_graph import rotated
 from .derived_code import round_off_near
 from .differentiable import Differentiable, Sample, values_near
 from .initial_conditions import TwistOrMomentum, initial_conditions_graph, initial_conditions_kernel
-from .kernel import Kernel, outputs_of
-from .reduced_graph import ReducedGraph
+from .kernel import Kernel, Layout, outputs_of
+from .reduced_graph import ReducedGraph, rotated
 from .reference_state import ReferenceState, random_state
-from .state_layout import Layout
 from .validation import ROUND_OFF, require_agreement
 
 _REACH = 0.5  # size of random states, relative to those at which the kernel itself is compared

@@ -1,4 +1,4 @@
-"""The compiled kernel, and the layout of its outputs."""
+"""The compiled kernel: its structure, and the layout of its states, parameters and outputs."""
 
 from __future__ import annotations
 
@@ -14,10 +14,254 @@ from ..common.arrays import Array
 from ..common.machine_code import NativeCode
 from ..forces.force_model import ForceModel
 from ..integrators.stepping.run_state import Canonical
-from ..reduction.tree.free_bodies import free_numbers
+from ..lie.rotations import quaternion_product
+from ..reduction.base_parts import BaseParts, base_parts
+from ..reduction.tree.free_bodies import NOTHING, Freed, free_numbers
 from ..system.state_fields import FIELDS, axis_lengths
 from ..system.system import System
-from .state_layout import Layout, Structure
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The structure of a kernel; together with the forces, it determines which terms exist.
+
+    With `lifted`, a quaternion q of any norm represents the angular momentum: μ = q̄ J q for the
+    constant angular momentum J in the fixed frame, so μ is quadratic in q.  Under this map of
+    Cayley and Klein from ℝ⁴ to so(3)*, the canonical bracket becomes the Lie–Poisson bracket.
+    A symplectic method for (x, π, q) is then a Poisson map of (x, π, μ).
+
+    With `lifted_balls`, the attitude q of a ball has a conjugate momentum p in ℝ⁴, and
+    π = ½ E(q)ᵀ p with E(q) e = q ∘ (e, 0).  The pair (q, p) is canonical, and |q|² and q · p are
+    invariants.
+
+    Attributes:
+        zero_momentum: Whether the momentum of the base is exactly zero.
+        cyclic: Indices of the cyclic joints.
+        rotors: Indices of the first rates of the spherical rotors.
+        axial: Indices of the rates of balls along an axis of symmetry of their body.
+        gravity: Indices of the axes of the root joint's fixed frame along which gravity acts on the
+            shape or rotates a pivoted base.
+        base: Whether the outputs contain the state of the base.
+        lifted: Whether a quaternion of any norm represents the angular momentum.
+        lifted_balls: Whether the quaternions of balls have conjugate momenta.
+        freed: Variable body parameters: inertias, joint placements and link placements.
+    """
+
+    zero_momentum: bool = True
+    cyclic: tuple[int, ...] = ()
+    gravity: tuple[int, ...] = ()
+    base: bool = True
+    lifted: bool = False
+    lifted_balls: bool = False
+    freed: Freed = NOTHING
+    rotors: tuple[int, ...] = ()
+    axial: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The order of the entries in the reduced state y and in the parameters.
+
+    Joints are given by the indices of their rates.  The reduced state is, in this order: positions
+    and momenta of the active joints, positions of the cyclic joints, momenta and then quaternions
+    of the balls, the base, and the time.  Lifted balls count as active: their quaternions follow
+    the positions, and their conjugate momenta follow the momenta.  Constant momenta of balls, whose
+    body is symmetric, are parameters, as are those of cyclic joints.
+
+    Attributes:
+        active: Hinges and slides whose positions and momenta are integrated.
+        cyclic: Cyclic joints.
+        prescribed: Prescribed joints, three rates for a ball.
+        prescribed_x: Indices in x of the prescribed joints.
+        balls: Integrated ball joints, each with the indices of its first coordinate and first rate.
+        rotors: Indices of the first rates of the spherical rotors, which are balls, too.
+        axial: Indices of the rates of balls along an axis of symmetry of their body.
+        lifted_balls: Whether the quaternions of balls have conjugate momenta.
+        coordinates: Index in x of the coordinate of each rate, (m,); −1 for rates of balls.
+        base: Numbers of integrated and constant entries of the base.
+        base_requested: Whether the outputs contain the state of the base.
+        gravity_on_base: Whether gravity rotates a pivoted base.
+        clock: 1 if the time is the last entry of y, else 0.
+        gravity: Indices of the axes along which the gravity component is a parameter.
+        freed: Variable body parameters.
+        com_path: Number of parameters for the centre-of-mass path: 3k if forces depend on the
+            path, else 0.
+        numbers: Number of force parameters.
+    """
+
+    active: tuple[int, ...]
+    cyclic: tuple[int, ...]
+    prescribed: tuple[int, ...]
+    prescribed_x: tuple[int, ...]
+    balls: tuple[tuple[int, int], ...]
+    rotors: tuple[int, ...]
+    axial: tuple[int, ...]
+    lifted_balls: bool
+    coordinates: tuple[int, ...]
+    base: BaseParts
+    base_requested: bool
+    gravity_on_base: bool
+    clock: int
+    gravity: tuple[int, ...]
+    freed: Freed
+    com_path: int
+    numbers: int
+
+    @cached_property
+    def active_x(self) -> list[int]:
+        """Indices in x of the active joints."""
+        return [self.coordinates[k] for k in self.active]
+
+    @cached_property
+    def cyclic_x(self) -> list[int]:
+        """Indices in x of the cyclic joints."""
+        return [self.coordinates[k] for k in self.cyclic]
+
+    @cached_property
+    def ball_x(self) -> list[int]:
+        """Indices in x of the quaternions of integrated balls, four for each."""
+        return [x + k for x, _ in self.balls for k in range(4)]
+
+    @cached_property
+    def ball_v(self) -> list[int]:
+        """Indices in ẋ of the rates of integrated balls, three for each."""
+        return [v + k for _, v in self.balls for k in range(3)]
+
+    @cached_property
+    def ball_pi(self) -> list[int]:
+        """Indices in π of the momenta of balls in y, which are not constant."""
+        return [k for k in self.ball_v if k not in self.constant_pi]
+
+    @cached_property
+    def constant_pi(self) -> list[int]:
+        """Indices in π of the constant momenta: of cyclic joints, rotors, axes of symmetry."""
+        return [*self.cyclic, *(v + k for v in self.rotors for k in range(3)), *self.axial]
+
+    @cached_property
+    def pairs(self) -> int:
+        """Number of positions in y that are followed by as many conjugate momenta."""
+        return len(self.active) + (4 * len(self.balls) if self.lifted_balls else 0)
+
+    @cached_property
+    def balls_at(self) -> int:
+        """Index in y of the first momentum of balls that are not lifted."""
+        return 2 * self.pairs + len(self.cyclic)
+
+    @cached_property
+    def base_at(self) -> int:
+        """Index in y of the first base entry."""
+        return self.balls_at + (0 if self.lifted_balls else len(self.ball_pi) + len(self.ball_x))
+
+    def shape_entries(self, x: Array, pi: Array) -> list[Array]:
+        """Return the entries of y before the base.
+
+        Args:
+            x: Shapes, (..., nx), with quaternions of length one.
+            pi: Canonical momenta, (..., m).
+        Returns:
+            Blocks (..., k), in the order of y.
+        """
+        active = list(self.active)
+        positions, momenta = [x[..., self.active_x]], [pi[..., active]]
+        if self.lifted_balls:
+            positions += [x[..., at : at + 4] for at, _ in self.balls]
+            momenta += [
+                conjugate_momentum(x[..., at : at + 4], pi[..., v : v + 3]) for at, v in self.balls
+            ]
+        blocks = [*positions, *momenta, x[..., self.cyclic_x]]
+        if self.balls and not self.lifted_balls:
+            blocks += [pi[..., self.ball_pi], x[..., self.ball_x]]
+        return blocks
+
+    @cached_property
+    def size(self) -> int:
+        """Length of y."""
+        return self.base_at + self.base.size + self.clock
+
+    @cached_property
+    def parameters(self) -> int:
+        """Number of parameters."""
+        return self.com_path_at + self.com_path + self.numbers
+
+    @property
+    def bodies_at(self) -> int:
+        """Index in the parameters of the first body parameter."""
+        return self.gravity_at + len(self.gravity)
+
+    @property
+    def gravity_at(self) -> int:
+        """Index in the parameters of the first gravity component."""
+        return self.base.spin + len(self.constant_pi)
+
+    @property
+    def com_path_at(self) -> int:
+        """Index in the parameters of the first centre-of-mass path entry."""
+        return self.bodies_at + self.freed.size
+
+    @property
+    def quaternions(self) -> tuple[int, int]:
+        """Index in y of the first quaternion entry, and number of quaternions; (0, 0) for none.
+
+        The quaternions of balls come directly before the base's.  Lifted ones are not counted,
+        because they have no redundant entry.
+        """
+        balls = 0 if self.lifted_balls else len(self.balls)
+        count = balls + (self.base.attitude == 4)
+        return (self.base_at - 4 * balls, count) if count else (0, 0)
+
+
+def conjugate_momentum(q: Array, pi: Array) -> Array:
+    """Return the momentum p = 2 q ∘ (π, 0), (..., 4), of a unit quaternion q, with q · p = 0."""
+    real = np.zeros((*pi.shape[:-1], 1))
+    return 2.0 * quaternion_product(q, np.concatenate([pi, real], axis=-1))
+
+
+def layout_of(system: System, structure: Structure, forces: ForceModel | None) -> Layout:
+    """Compute the layout of the reduced state and of the parameters.
+
+    Args:
+        system: The system.
+        structure: Structure of the kernel.
+        forces: Forces on the system, or None.
+    Returns:
+        The layout.
+    """
+    prescribed = forces.joints if forces is not None else ()
+    heavy = system.group.is_pivot and bool(structure.gravity)
+    base_observed = forces is not None and (forces.sees_attitude or forces.sees_place)
+    base = base_parts(
+        system.group,
+        wanted=structure.base or structure.lifted or base_observed,
+        heavy=heavy,
+        wrench=forces is not None and forces.has_wrench,
+        zero_momentum=structure.zero_momentum,
+    )
+    coordinates = np.full(system.m, -1)
+    coordinates[system.space.scalar_v] = system.space.scalar_x
+    not_active = {*structure.cyclic, *prescribed, *system.space.ball_v.tolist()}
+    return Layout(
+        active=tuple(k for k in range(system.m) if k not in not_active),
+        cyclic=structure.cyclic,
+        prescribed=prescribed,
+        prescribed_x=tuple(system.space.coordinates_of_joints(prescribed)),
+        balls=tuple(
+            (joint.x.start, joint.v.start)
+            for joint in system.space.balls
+            if joint.v.start not in prescribed
+        ),
+        rotors=structure.rotors,
+        axial=structure.axial,
+        lifted_balls=structure.lifted_balls,
+        coordinates=tuple(coordinates.tolist()),
+        base=base,
+        base_requested=structure.base,
+        gravity_on_base=heavy,
+        clock=int(forces is not None and forces.needs_time),
+        gravity=structure.gravity,
+        freed=structure.freed,
+        com_path=3 * system.group.linear if forces is not None and forces.sees_place else 0,
+        numbers=len(forces.numbers) if forces is not None else 0,
+    )
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from ..common.interrupts import cleaning_up, held_interrupt
 from ..common.names import quoted_path
 from ..common.object_cache import cache_key
 from ..common.packed_values import pack, unpack
-from ..integrators.run_keeper import SavedRun
+from ..integrators.solution import SavedRun
 
 if TYPE_CHECKING:
     from .compiled.compiled_flow import CompiledFlow

@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import InputError, SymmetryError
-from ..kernels.state_layout import Layout
+from ..kernels.kernel import Layout
 from ..reduction.potential import acting_gravity, falling
 from ..reduction.tree.body_frames import Body, bodies_of, step_at
 from ..reduction.tree.free_bodies import (

@@ -7,20 +7,26 @@ Files, labelled arrays, kernels and flows read names, axes and units from FIELDS
 1. Add it to FIELDS, to State (and to ShapeState if it does not need the base), to StateArrays,
    and to Outcome if flows differentiate it.
 2. Compute its value for the compiled engine in kernels/reduced_graph.py, or in
-   kernels/base_graph.py if it needs the base.
+   kernels/reduced_graph.py if it needs the base.
 3. Compute its value for the other engine in `states()` of simulation/pinocchio_engine.py.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from abc import ABC
+from abc import abstractmethod
+from collections.abc import Callable
+from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Literal, NoReturn, TypeVar
-
+from typing import Any
+from typing import Literal
+from typing import NoReturn
+from typing import TypeVar
 from ..common.argument_kinds import checks_arguments
-from ..common.arrays import Array, FrozenArrays
+from ..common.arrays import Array
+from ..common.arrays import FrozenArrays
 from ..common.errors import InputError
 from .system import System
 

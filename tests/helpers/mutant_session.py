@@ -254,9 +254,9 @@ def _compile_again(path: str) -> None:
     Args:
         path: Path of the source file.
     """
-    from pinred.integrators.stepping import compiled_function  # the copy with the mutants
+    from pinred.integrators.stepping import compiling  # the copy with the mutants
 
-    module = vars(compiled_function)
+    module = vars(compiling)
     shipped_name = module["shipped_name"]
 
     def name_of_mutant(function: Any, *details: Any) -> str:

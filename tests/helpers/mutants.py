@@ -88,17 +88,9 @@ TESTS: dict[str, list[str]] = {
         "integrators/test_tableaux.py", "integrators/test_rotation_tolerance.py",
         "integrators/test_step_control.py",
     ],
-    "integrators/gauss/fixed_points": [
+    "integrators/gauss/sensitivities": [
         "integrators/test_run_derivatives.py", "simulation/test_step_map.py",
-        "simulation/test_flow_map.py",
-    ],
-    "integrators/gauss/stage_sensitivities": [
-        "integrators/test_run_derivatives.py", "simulation/test_step_map.py",
-        "simulation/test_flow_map.py",
-    ],
-    "integrators/gauss/adjoint_steps": [
-        "integrators/test_run_derivatives.py", "simulation/test_flow_map.py",
-        "simulation/test_adapters.py",
+        "simulation/test_flow_map.py", "simulation/test_adapters.py",
     ],
     "integrators/gauss": [
         "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
@@ -118,7 +110,7 @@ TESTS: dict[str, list[str]] = {
         "integrators/test_batches.py",
     ],
     "integrators/stepping/run_state": ["integrators/test_run_record.py"],
-    "integrators/stepping/replay": [
+    "integrators/stepping/state_rows": [
         "integrators/test_run_derivatives.py", "simulation/test_step_map.py",
         "simulation/test_flow_map.py",
     ],
@@ -126,7 +118,6 @@ TESTS: dict[str, list[str]] = {
         "integrators/test_run_derivatives.py", "simulation/test_step_map.py",
         "simulation/test_flow_map.py",
     ],
-    "kernels/lane_derivatives": ["kernels/test_identical_branches.py"],
     "integrators": [
         "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
         "integrators/test_steppers.py", "integrators/test_batches.py",
@@ -239,7 +230,7 @@ class Copy:
                 os.environ["PYTHONPATH"] = str(self.root)
                 sys.path.insert(0, str(self.root))
                 # Integrators stay in the folder that is set at this import.
-                importlib.import_module("pinred.integrators.stepping.wrapped_code")
+                importlib.import_module("pinred.integrators.stepping.shipped_code")
                 os.environ.update(environment)
                 slow = [] if self._slow else ["-m", "not slow"]
                 options = ["-q", "-x", "-s", *slow, "-p", "no:cacheprovider"]

@@ -16,17 +16,17 @@ from pinred.common.errors import UnsupportedOperationError
 from pinred.common.machine_code import create_machine, load_object
 from pinred.common.object_cache import ObjectCache
 from pinred.integrators.stepping import (
-    argument_types,
     call_wrapper,
     numba_functions,
     shipped_code,
-    wrapped_code,
 )
-from pinred.integrators.stepping.argument_types import argument_type, plain_value
-from pinred.integrators.stepping.call_wrapper import objects_are_as_expected
-from pinred.integrators.stepping.compiled_function import CompiledFunction
-from pinred.integrators.stepping.compiling import compiled
-from pinred.integrators.stepping.reshape_code import RESHAPE_CODE
+from pinred.integrators.stepping.call_wrapper import (
+    argument_type,
+    objects_are_as_expected,
+    plain_value,
+)
+from pinred.integrators.stepping.compiling import CompiledFunction, compiled
+from pinred.integrators.stepping.numba_functions import RESHAPE_CODE
 from pinred.integrators.stepping.run_state import new_run
 
 RECORD = np.dtype([("t", np.float64), ("n", np.int64)], align=True)
@@ -80,7 +80,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Any:
     folder = tmp_path_factory.mktemp("code")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(shipped_code, "FOLDER", folder / "shipped")
-        patch.setattr(wrapped_code, "STORE", ObjectCache(folder / "cache"))
+        patch.setattr(shipped_code, "STORE", ObjectCache(folder / "cache"))
         for function, given in (
             (python_probe, arguments()), (python_wait, [np.zeros(2, np.int64), 0]),
         ):  # fmt: skip
@@ -223,7 +223,7 @@ def test_wrapper_releases_the_gil() -> None:
 @pytest.mark.usefixtures("folders")
 def test_bitcode_with_other_parameters_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """Machine code would read the arguments of its wrapper as others."""
-    monkeypatch.setattr(wrapped_code, "STORE", ObjectCache(Path("/proc/nothing")))
+    monkeypatch.setattr(shipped_code, "STORE", ObjectCache(Path("/proc/nothing")))
     monkeypatch.setitem(call_wrapper._NUMBERS, float, "float")
     copy: Any = compiled(python_probe)
     with pytest.raises(RuntimeError, match="but is passed"):
@@ -233,7 +233,7 @@ def test_bitcode_with_other_parameters_is_refused(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.usefixtures("folders")
 def test_python_with_other_objects_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wrappers read objects in memory."""
-    monkeypatch.setattr(wrapped_code, "objects_are_as_expected", lambda: False)
+    monkeypatch.setattr(shipped_code, "objects_are_as_expected", lambda: False)
     copy: Any = compiled(python_probe)
     with pytest.raises(UnsupportedOperationError, match='engine="pinocchio"'):
         copy(*arguments())
@@ -279,7 +279,7 @@ def test_other_types_have_no_name(value: Any) -> None:
 
 def test_equal_dtypes_become_identical() -> None:
     """The first dtype of a kind is kept, so that wrappers compare addresses alone."""
-    first = argument_types.plain_value(np.zeros(1, RECORD))
+    first = plain_value(np.zeros(1, RECORD))
     copy = pickle.loads(pickle.dumps(first))
     assert plain_value(copy).dtype is first.dtype
     assert np.shares_memory(plain_value(copy), copy)

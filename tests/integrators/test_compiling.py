@@ -17,7 +17,7 @@ import pinred
 from pinred.analysis.phases import lift
 from pinred.integrators import stepping
 from pinred.integrators.methods import METHODS, Method
-from pinred.integrators.stepping.argument_types import NumberType
+from pinred.integrators.stepping.call_wrapper import NumberType
 from pinred.integrators.stepping.compiling import (
     SOURCES,
     bind_globals,
@@ -38,13 +38,13 @@ PROGRAM = """
 import numpy as np
 import pinred
 from pinred.integrators.methods import METHODS
-from pinred.integrators.stepping import wrapped_code
-count, generate = 0, wrapped_code._compile
+from pinred.integrators.stepping import shipped_code
+count, generate = 0, shipped_code._compile
 def counted(*arguments):
     global count
     count += 1
     return generate(*arguments)
-wrapped_code._compile = counted
+shipped_code._compile = counted
 cat, times, between = pinred.load("falling_cat"), [0.0, 0.1, 0.2], np.array([0.05, 0.15])
 exact = pinred.simulate(cat, seed=1, times=times, method=METHODS["DOP853"](1e-12, 1e-14))
 for name, kind in METHODS.items():

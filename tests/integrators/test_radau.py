@@ -32,16 +32,15 @@ from pinred.forces import PD, Damper, Limit, Torque
 from pinred.integrators import integrate as drive
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
-from pinred.integrators.radau import radau_coefficients
+from pinred.integrators.radau import radau_iia
 from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.linear_systems import factor, factor_complex, solve, solve_complex
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.kernels import derived_code as tangent
-from pinred.kernels.derived_code import tangent_of
+from pinred.kernels.derived_code import jacobian_of, tangent_of
 from pinred.kernels.machine import native
-from pinred.kernels.state_jacobian import jacobian_of
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
@@ -551,10 +550,10 @@ def test_ctrl_c_interrupts_soon() -> None:
 
 def test_coefficients_are_those_of_scipy() -> None:
     """All bits are equal; SciPy's module is not imported, because it loads slowly."""
-    assert tuple(book.C) == (radau_coefficients.C1, radau_coefficients.C2, 1.0)
-    errors = (radau_coefficients.E1, radau_coefficients.E2, radau_coefficients.E3)
+    assert tuple(book.C) == (radau_iia.C1, radau_iia.C2, 1.0)
+    errors = (radau_iia.E1, radau_iia.E2, radau_iia.E3)
     assert errors == tuple(book.E)
-    assert radau_coefficients.GAMMA == book.MU_REAL
-    assert complex(radau_coefficients.ALPHA, radau_coefficients.BETA) == book.MU_COMPLEX
-    assert np.array_equal(radau_coefficients.T, book.T)
-    assert np.array_equal(radau_coefficients.T_INVERSE, book.TI)
+    assert radau_iia.GAMMA == book.MU_REAL
+    assert complex(radau_iia.ALPHA, radau_iia.BETA) == book.MU_COMPLEX
+    assert np.array_equal(radau_iia.T, book.T)
+    assert np.array_equal(radau_iia.T_INVERSE, book.TI)

@@ -21,11 +21,10 @@ from pinred.common.errors import MissingPackageError
 from pinred.common.machine_code import create_machine, parse_bitcode
 from pinred.common.object_cache import ObjectCache
 from pinred.integrators.methods import METHODS
-from pinred.integrators.radau import dense
-from pinred.integrators.stepping import numba_functions, shipped_code, wrapped_code
-from pinred.integrators.stepping.argument_types import argument_type
-from pinred.integrators.stepping.compiled_function import CompiledFunction
-from pinred.integrators.stepping.compiling import compiled
+from pinred.integrators.radau import radau_iia
+from pinred.integrators.stepping import numba_functions, shipped_code
+from pinred.integrators.stepping.call_wrapper import argument_type
+from pinred.integrators.stepping.compiling import CompiledFunction, compiled
 from pinred.integrators.stepping.kernel_call import from_lanes
 from pinred.integrators.stepping.numba_functions import extract_bitcode
 from pinred.integrators.stepping.step_loop import Stepper
@@ -206,10 +205,10 @@ def test_name_depends_on_constants_of_called_functions(monkeypatch: pytest.Monke
     """NumPy computes the slopes in Radau's dense output, with a round-off of its own."""
     function = vars(stepper_of("Radau").loops.advance)["py_func"]
     name = shipped_code.shipped_name(function, (), "stamp")
-    changed = dense._SLOPE.copy()
+    changed = radau_iia._SLOPE.copy()
     changed[0] = np.nextafter(changed[0], 9.0)
     assert name == shipped_code.shipped_name(function, (), "stamp")
-    monkeypatch.setattr(dense, "_SLOPE", changed)
+    monkeypatch.setattr(radau_iia, "_SLOPE", changed)
     assert name != shipped_code.shipped_name(function, (), "stamp")
 
 
@@ -230,7 +229,7 @@ def test_name_depends_on_variables_of_enclosing_functions() -> None:
 def lanes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """A copy of `from_lanes` for which no code is shipped or cached."""
     monkeypatch.setattr(shipped_code, "FOLDER", tmp_path / "shipped")
-    monkeypatch.setattr(wrapped_code, "STORE", ObjectCache(tmp_path / "cache"))
+    monkeypatch.setattr(shipped_code, "STORE", ObjectCache(tmp_path / "cache"))
     return compiled(vars(from_lanes)["py_func"])
 
 

@@ -17,7 +17,7 @@ from pinred.common.arrays import Array
 from pinred.common.machine_code import NativeCode
 from pinred.common.object_cache import ObjectCache
 from pinred.kernels.build import build_kernel
-from pinred.kernels.state_layout import Structure
+from pinred.kernels.kernel import Structure
 from pinred.kernels.validation import validate_kernel
 from pinred.lie import GROUPS
 from pinred.reduction.cyclic_joints import cyclic_joints

@@ -22,15 +22,19 @@ from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import Solutions
 from pinred.integrators.methods import DOP853, Tsit5
 from pinred.integrators.stepping.call_wrapper import COMPILED
-from pinred.integrators.stepping.codes import DONE, TOO_MANY
 from pinred.integrators.stepping.compiling import compiled
-from pinred.integrators.stepping.run_state import EVALUATIONS_BETWEEN_PAUSES, LAYOUT, Runs
+from pinred.integrators.stepping.run_state import (
+    DONE,
+    EVALUATIONS_BETWEEN_PAUSES,
+    LAYOUT,
+    TOO_MANY,
+    Runs,
+)
 from pinred.integrators.stepping.step_loop import OUTCOME
 from pinred.kernels.build import build_kernel
 from pinred.kernels.device import cuda_driver, device_code
 from pinred.kernels.device.few_rows import stepper_with_few_rows
-from pinred.kernels.kernel import Kernel
-from pinred.kernels.state_layout import Structure
+from pinred.kernels.kernel import Kernel, Structure
 
 _EXTERN = b".extern"  # of functions that another module defines
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -18,10 +19,14 @@ from trees import inertia, limbed_model, mirrored_model, placement, unequal_limb
 import pinred
 from pinred.common.arrays import Array
 from pinred.common.machine_code import load_object
-from pinred.kernels.lane_derivatives import adjoint_in_lanes, tangent_in_lanes
+from pinred.common.object_cache import ObjectCache
+from pinred.kernels.build import build_kernel
+from pinred.kernels.differentiable import adjoint_in_lanes, tangent_in_lanes
+from pinred.kernels.kernel import Structure
+from pinred.kernels.machine import native
 from pinred.kernels.machine.native import compile_object
 from pinred.kernels.reduced_graph import ReducedGraph
-from pinred.kernels.state_layout import Structure
+from pinred.kernels.reference_state import random_state
 from pinred.reduction.tree.body_frames import bodies_of, cosine, sine
 from pinred.reduction.tree.identical_branches import Lanes, Mark, links_of
 from pinred.reduction.tree.scalars import Turn
@@ -344,3 +349,19 @@ def test_graph_size_hardly_grows_with_identical_branches() -> None:
         function = ReducedGraph(system, Structure(zero_momentum=False), lanes=lanes).rate()
         sizes[limbs] = function.n_instructions()
     assert sizes[4] < 1.3 * sizes[2] < 1.7 * sizes[1]
+
+
+def test_divided_kernel_with_lanes_agrees_with_pinocchio(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The functions of long code pass vectors to each other; the build compares with Pinocchio."""
+    system, structure = pinred.load("satellite_two_arms"), Structure(zero_momentum=False)
+    expected = build_kernel(system, structure)
+    monkeypatch.setattr(native, "LONG", 0)
+    monkeypatch.setattr(native, "PART", 50)
+    divided = build_kernel(system, structure, cache=ObjectCache(tmp_path))
+    at = random_state(divided, np.random.default_rng(0), 1.0)
+    assert at is not None
+    rates = [kernel.evaluate_rate(at.y, at.parameters) for kernel in (divided, expected)]
+    assert not np.array_equal(*rates)
+    np.testing.assert_allclose(*rates, rtol=0.0, atol=1e-13 * np.abs(rates[0]).max())

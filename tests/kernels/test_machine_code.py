@@ -402,21 +402,41 @@ def test_wide_code_equals_casadi_in_each_lane(name: str, wide: int) -> None:
     assert np.array_equal(again[:, others], found[:, others], equal_nan=True)
 
 
-@pytest.mark.parametrize("block", [1, 7, 100])
-def test_code_in_blocks_computes_the_same(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A value of one block is used in later blocks, and all blocks are reached."""
+@pytest.mark.parametrize("wide", [1, 4])
+@pytest.mark.parametrize("part", [1, 7])
+def test_divided_code_computes_the_same(
+    part: int, wide: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Functions pass numbers and vectors to later ones, and all functions are called."""
     x = ca.SX.sym("x", 4)
     terms = [ca.sin(x[k]) * x[k - 1] for k in range(4)]
     outputs = [ca.vertcat(*terms), ca.cos(terms[0] + terms[1]) / x[2], x[3] ** 2 + terms[2]]
     function = ca.Function("f", [x], [ca.vertcat(*outputs)])
-    monkeypatch.setattr(lowering, "BLOCK", block)
-    assert ("%whole" in lowering.lower(function, "f", fma=True)) == (block < 100)
-    point = np.array([0.3, -1.2, 0.7, 2.0])
-    call = callable_of(load_object(compile_object(function, "f"), "f"), 1, 6)
-    assert ulps(call(point), reference(function, point)).max() <= 4.0
+    monkeypatch.setattr(native, "LONG", 0)
+    monkeypatch.setattr(native, "PART", part)
+    text = native.lowered(lambda: compile_object(function, "f", wide=wide))
+    assert text.count("define internal void @f.") == text.count("call void @f.") > 1
+    points = np.array([0.3, -1.2, 0.7, 2.0])[:, None] + np.arange(wide)
+    call = callable_of(load_object(compile_object(function, "f", wide=wide), "f"), 1, 6 * wide)
+    found = call(points.ravel()).reshape(6, wide)
+    for lane in range(wide):
+        assert ulps(found[:, lane], reference(function, points[:, lane])).max() <= 4.0
 
 
-def test_short_code_is_one_block() -> None:
-    """Kernels of most robots are not cut."""
+def test_short_code_is_one_function() -> None:
+    """Kernels of most robots are not divided."""
     x = ca.SX.sym("x")
-    assert "%whole" not in lowering.lower(ca.Function("f", [x], [x * x]), "f", fma=True)
+    text = native.lowered(lambda: compile_object(ca.Function("f", [x], [x * x]), "f"))
+    assert "@f." not in text
+
+
+def test_long_code_that_runs_rarely_is_not_optimised(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It compiles in one function, without fused multiply-adds."""
+    x = ca.SX.sym("x", 3)
+    function = ca.Function("f", [x], [x[0] * x[1] + x[2]])
+    short = compile_object(function, "f", rare=True)
+    assert short == compile_object(function, "f")
+    monkeypatch.setattr(native, "LONG", 0)
+    long = compile_object(function, "f", rare=True)
+    assert long == native.generate(lowering.lower(function, "f", fma=cpu_target().fma), 0)
+    assert callable_of(load_object(long, "f"), 1, 1)(np.array([2.0, 3.0, 4.0]))[0] == 10.0

@@ -17,10 +17,9 @@ import pinred
 from pinred import forces
 from pinred.common.arrays import Array
 from pinred.kernels.flow_functions import Row, initial_conditions_of, outcome_of, sizes_of
-from pinred.kernels.kernel import Kernel
+from pinred.kernels.kernel import Kernel, Structure, layout_of
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.kernels.reference_state import ReferenceState, random_state
-from pinred.kernels.state_layout import Structure, layout_of
 from pinred.reduction.tree.free_bodies import STEP, Freed, free_numbers
 from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of

@@ -5,36 +5,44 @@ Robots of a metre, a millimetre and a kilometre have the same bounds relative to
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import cache, partial
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from loop_robots import five_bar
-from scaled_robots import ROBOTS, Units, evaluate_connection, scaled
-
 import pinred
+from collections.abc import Callable
+from collections.abc import Sequence
+from functools import cache
+from functools import partial
+from typing import Any
+from loop_robots import five_bar
+from scaled_robots import ROBOTS
+from scaled_robots import Units
+from scaled_robots import evaluate_connection
+from scaled_robots import scaled
 from pinred.analysis.connections import connection_physics
 from pinred.common.arrays import Array
 from pinred.common.differences import central_differences
-from pinred.forces import ComputedTorque, Torque, Wrench
+from pinred.forces import ComputedTorque
+from pinred.forces import Torque
+from pinred.forces import Wrench
 from pinred.forces.force_numbers import random_numbers
-from pinred.kernels import (
-    closing_code,
-    derived_code,
-    differentiable,
-    flow_functions,
-    initial_conditions,
-    validation,
-)
+from pinred.kernels import closing_code
+from pinred.kernels import derived_code
+from pinred.kernels import differentiable
+from pinred.kernels import flow_functions
+from pinred.kernels import initial_conditions
+from pinred.kernels import validation
 from pinred.kernels.connection import connection_validation
-from pinred.kernels.derived_code import jacobian_by_columns, tangent_of, validate_jacobian
-from pinred.kernels.differentiable import Differentiable, Sample, values_near
+from pinred.kernels.derived_code import jacobian_by_columns
+from pinred.kernels.derived_code import tangent_of
+from pinred.kernels.derived_code import validate_jacobian
+from pinred.kernels.differentiable import Differentiable
+from pinred.kernels.differentiable import Sample
+from pinred.kernels.differentiable import values_near
 from pinred.kernels.evaluate import evaluate
-from pinred.kernels.flow_functions import initial_conditions_of, rate_of
+from pinred.kernels.flow_functions import initial_conditions_of
+from pinred.kernels.flow_functions import rate_of
 from pinred.kernels.initial_conditions import initial_conditions_kernel
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.reference_state import random_state
@@ -273,6 +281,19 @@ def test_jacobian_at_short_pulses_is_not_compared(width: float, part: float) -> 
     states = [random_state(plain, rng, 1.0) for _ in range(2)]
     # The slope of a pulse is largest 0.7 widths beside its centre.
     tangent_of(kernel_with([float(at.x[0]) - 0.7 * width for at in states if at is not None]))
+
+
+def test_jacobian_near_infinite_forces_is_not_compared() -> None:
+    """Differences of rates that overflow are not finite: these states are left out in silence."""
+
+    def torque(_t: Any, x: Any, _xdot: Any, _mu: Any) -> list[Any]:
+        return [ca.exp(4000.0 * x[0])]
+
+    scene = pinred.Scene(system=pinred.load("cartpole"), seed=0, forces=Torque(torque))
+    kernel, rng = kernel_of(plan_of(scene), zero_momentum=False), np.random.default_rng(0)
+    states = [random_state(kernel, rng, 1.0) for _ in range(2)]
+    assert any(at is not None and 0.17 < at.x[0] < 0.175 for at in states)
+    tangent_of(kernel)
 
 
 def test_two_states_are_compared() -> None:

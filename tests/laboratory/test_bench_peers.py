@@ -18,8 +18,8 @@ from pinred.common.errors import IntegrationError, UnsupportedOperationError
 from pinred.common.optional_packages import install_command
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
+from pinred.kernels.kernel import Structure
 from pinred.kernels.reduced_graph import ReducedGraph
-from pinred.kernels.state_layout import Structure
 from pinred.laboratory.bench import SOLVERS, Problem, reference_of
 from pinred.laboratory.bench.peers.aba import ABA, full_vector_field
 from pinred.laboratory.bench.peers.cvodes import full_graph

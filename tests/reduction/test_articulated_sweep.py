@@ -10,8 +10,8 @@ from strategies import Case, cases, make_case
 
 import pinred
 from pinred.common.arrays import Array
+from pinred.kernels.kernel import Structure
 from pinred.kernels.reduced_graph import ReducedGraph
-from pinred.kernels.state_layout import Structure
 from pinred.lie.rotations import rotation
 from pinred.reduction.canonical_form import CanonicalForm
 from pinred.reduction.cyclic_joints import cyclic_joints

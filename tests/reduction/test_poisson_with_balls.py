@@ -13,8 +13,8 @@ from ball_trees import ball_tree
 import pinred
 from pinred import poisson
 from pinred.common.arrays import Array
+from pinred.kernels.kernel import Structure
 from pinred.kernels.reduced_graph import ReducedGraph
-from pinred.kernels.state_layout import Structure
 from pinred.reduction.canonical_form import CanonicalForm
 from pinred.reduction.potential import Potential
 from pinred.system.system import System

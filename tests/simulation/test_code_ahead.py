@@ -25,8 +25,8 @@ from pinred.common.machine_code import (
 from pinred.common.object_cache import ObjectCache
 from pinred.integrators.methods import METHODS
 from pinred.integrators.stepping import shipped_code
-from pinred.integrators.stepping.argument_types import argument_type, plain_value
-from pinred.integrators.stepping.compiled_function import CompiledFunction
+from pinred.integrators.stepping.call_wrapper import argument_type, plain_value
+from pinred.integrators.stepping.compiling import CompiledFunction
 from pinred.integrators.stepping.kernel_call import from_lanes
 from pinred.simulation.compiled import code_ahead
 from pinred.simulation.compiled.divided_code import divide

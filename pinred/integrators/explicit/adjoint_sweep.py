@@ -19,8 +19,15 @@ from dataclasses import dataclass
 from ...common.arrays import Array
 from ...common.memo import once_for_all
 from ..stepping.compiling import Bindings, compiled, unbound
-from ..stepping.replay import Cotangents, Replay, across
-from ..stepping.state_rows import Quaternions, add_row, padded_rows, unit_alone
+from ..stepping.state_rows import (
+    Cotangents,
+    Quaternions,
+    Replay,
+    across,
+    add_row,
+    padded_rows,
+    unit_alone,
+)
 from .forward_sensitivities import fill_weights, weights_of
 from .row_programs import Pullback, Rate, Sum, Terms, pullback_program, row_program
 from .runge_kutta import digest

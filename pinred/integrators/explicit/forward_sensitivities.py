@@ -17,8 +17,7 @@ from ...common.arrays import Array
 from ...common.memo import once_for_all
 from ..stepping.compiling import compiled
 from ..stepping.kernel_call import SEEDS, call, call_slopes
-from ..stepping.replay import Replay, Tangents, normalise_with, report
-from ..stepping.state_rows import copy_row
+from ..stepping.state_rows import Replay, Tangents, copy_row, normalise_with, report
 from .tableau import Tableau
 
 # The coefficients of a tableau: weights of the rates in the state of each stage, (S, S), where row

@@ -14,10 +14,9 @@ from __future__ import annotations
 from math import cos, sin, sqrt, tan
 
 from ...common.arrays import Array
-from ..stepping.codes import DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import call
-from ..stepping.run_state import Run, copy_an_end, keep_state, quaternions_of
+from ..stepping.run_state import DONE, NOT_FINITE, Run, copy_an_end, keep_state, quaternions_of
 from ..stepping.state_rows import (
     NEW,
     Quaternions,

@@ -14,8 +14,7 @@ from typing import Any, TypeAlias
 from llvmlite import ir
 
 from ...common.arrays import Array
-from ..stepping import numba_core
-from ..stepping.compiling import make_intrinsic
+from ..stepping.compiling import make_intrinsic, numba_core
 from ..stepping.kernel_call import check_contiguous, emit_call
 from ..stepping.state_rows import WIDTH
 from ..stepping.vector_rows import VectorRows, add_pairwise
@@ -63,7 +62,7 @@ def row_sum(out: int, base: int | None, terms: Terms) -> Callable[[Array, float]
 
     @make_intrinsic
     def combine(typing: Any, work: Any, h: Any) -> Any:
-        types: Any = numba_core.types
+        types = numba_core.types
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             rows = VectorRows(context, builder, signature.args[0], arguments[0], WIDTH)
@@ -99,7 +98,7 @@ def row_program(
     @make_intrinsic
     def run(typing: Any, address: Any, params: Any, work: Any, h: Any) -> Any:
         check_contiguous(params, work)
-        types: Any = numba_core.types
+        types = numba_core.types
         step_type = types.float64 if lane_steps is None else lane_steps()
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -133,8 +132,8 @@ def pullback_program(
         typing: Any, adjoint: Any, params: Any, work: Any, both: Any, by_params: Any, h: Any
     ) -> Any:
         check_contiguous(params, work, both, by_params)
-        types: Any = numba_core.types
-        cgutils: Any = numba_core.cgutils
+        types = numba_core.types
+        cgutils = numba_core.cgutils
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             adjoint, params, work, both, by_params, h = arguments
@@ -171,7 +170,7 @@ def _emit_sum(
     builder: Any, rows: VectorRows, step: Sum, scale: Any, flags: tuple[str, ...] = ()
 ) -> None:
     """Emit the instructions of a linear combination; `scale` is h as a vector."""
-    cgutils: Any = numba_core.cgutils
+    cgutils = numba_core.cgutils
     stride, width = rows.stride, rows.vector.count
     with cgutils.for_range(builder, builder.udiv(stride, stride.type(width))) as loop:
         index = builder.mul(loop.index, stride.type(width))

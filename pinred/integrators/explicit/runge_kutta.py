@@ -18,11 +18,15 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.memo import once_for_all
-from ..stepping.codes import DENSE, DONE, ENDS, NOT_FINITE, STEP
 from ..stepping.compiling import Bindings, unbound
 from ..stepping.kernel_call import call
 from ..stepping.run_state import (
+    DENSE,
+    DONE,
+    ENDS,
+    NOT_FINITE,
     STAGES_KEPT,
+    STEP,
     Run,
     copy_an_end,
     keep_state,
@@ -32,8 +36,20 @@ from ..stepping.run_state import (
 from ..stepping.state_rows import NEW, Y, first_not_finite, padded_rows, unit, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, loops
 from .row_programs import Rate, Sum, Terms, row_program
-from .step_formulas import SCALAR, add_formulas, dense_value, fill_hermite, first_step, next_step
-from .step_rows import BEGIN_RATE, END_RATE, ERROR, ERROR3, RATES, STAGE
+from .step_formulas import (
+    BEGIN_RATE,
+    END_RATE,
+    ERROR,
+    ERROR3,
+    RATES,
+    SCALAR,
+    STAGE,
+    add_formulas,
+    dense_value,
+    fill_hermite,
+    first_step,
+    next_step,
+)
 from .tableau import Tableau
 
 # --- names that a tableau binds -----------------------------------------------------------------

@@ -17,7 +17,11 @@ from ..stepping.compiling import Bindings, inlined, unbound
 from ..stepping.kernel_call import call
 from ..stepping.run_state import Run, quaternions_of
 from ..stepping.state_rows import NEW, TURN, Y, in_quaternion
-from .step_rows import BEGIN_RATE, END_RATE, ERROR, ERROR3, RATES, STAGE
+
+# The state of a stage, the error rows, and the rates at both ends of a step. The rates of the other
+# stages and the dense-output terms follow.
+STAGE, ERROR, ERROR3, BEGIN_RATE, END_RATE, RATES = range(2, 8)
+
 
 _SAFETY, _SHRINK, _GROW, _CRASH = 0.9, 0.333, 6.0, 0.1  # factors of the step control, from dop853.f
 

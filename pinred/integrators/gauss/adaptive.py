@@ -16,9 +16,10 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.memo import once_for_all
-from ..stepping.codes import DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.run_state import (
+    DONE,
+    NOT_FINITE,
     STAGES_KEPT,
     Run,
     first_step_by_rate,
@@ -30,9 +31,8 @@ from ..stepping.state_rows import Y, entry_size, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, loops
 from .fixed_step import continue_from_end, load_step, not_finite_in, write_inside_state
 from .newton import rows_of_stages
-from .stage_rows import CARRY, GUESS, INFO, LAST, OLD, RATE, SCALE, L
 from .stages import NO_SOLUTION, finish, guess, guess_evenly, iterate, prepare_guess
-from .tables import lanes_of
+from .tables import CARRY, GUESS, INFO, LAST, OLD, RATE, SCALE, L, lanes_of
 
 _SAFETY, _SHRINK, _GROW, _HALF = 0.9, 0.25, 4.0, 0.5
 _ORDER = 17.0  # exponent p of the error of one step, which is proportional to h^p

@@ -11,7 +11,8 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.memo import once_for_all
-from ..stepping.codes import (
+from ..stepping.compiling import compiled, inlined
+from ..stepping.run_state import (
     AGAIN,
     AUTO,
     DIVERGED,
@@ -21,14 +22,15 @@ from ..stepping.codes import (
     NOT_FINITE,
     STEP,
     WANTED,
+    Run,
+    copy_an_end,
+    keep_state,
+    quaternions_of,
 )
-from ..stepping.compiling import compiled, inlined
-from ..stepping.run_state import Run, copy_an_end, keep_state, quaternions_of
 from ..stepping.state_rows import NEW, Y, copy_row, first_not_finite, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 from .newton import MAIN, prepare, refine, rows_of_stages
 from .newton import SUB as REPORT
-from .stage_rows import CARRY, GUESS, INFO, NEXT_CARRY, OLD, RATE, SUB, WITHIN, L
 from .stages import (
     NO_SOLUTION,
     ROUND_OFF,
@@ -40,6 +42,7 @@ from .stages import (
     prepare_guess,
     scale_by_largest,
 )
+from .tables import CARRY, GUESS, INFO, NEXT_CARRY, OLD, RATE, SUB, WITHIN, L
 
 _STAY = 64  # number of steps with Newton's method before fixed-point iteration is tried again
 _SEGMENTS = 64  # largest number of substeps into which a step to a report time is split

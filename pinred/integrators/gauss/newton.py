@@ -21,9 +21,8 @@ from ..stepping.linear_systems import factor, factor_complex, finite_jacobian, s
 from ..stepping.run_state import Run
 from ..stepping.state_rows import Y, first_not_finite
 from .stage_products import multiply
-from .stage_rows import BEST, MU, RATE, ROWS, SCALE, STAGE, B, work_rows
 from .stages import NO_SOLUTION
-from .tables import MOST_STAGES, tables
+from .tables import BEST, MOST_STAGES, MU, RATE, ROWS, SCALE, STAGE, B, tables, work_rows
 
 _ENTRY = 2 + 4 * MOST_STAGES  # number of floats per pair: the eigenvalue and its two eigenvectors
 # Indices of the factorisations for whole steps, and for shorter steps to report times.

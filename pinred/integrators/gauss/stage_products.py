@@ -9,10 +9,9 @@ import numpy as np
 from llvmlite import ir
 
 from ...common.arrays import Array
-from ..stepping import numba_core
-from ..stepping.compiling import inlined, make_intrinsic
+from ..stepping.compiling import inlined, make_intrinsic, numba_core
 from ..stepping.vector_rows import VectorRows, add_pairwise
-from .stage_rows import BEST, CHANGE, RATE, SCALE, B
+from .tables import BEST, CHANGE, RATE, SCALE, B
 
 _CONTRACT = ("contract",)
 
@@ -29,8 +28,8 @@ def product(lanes: int) -> Callable[..., None]:
     def multiply(  # type: ignore[no-untyped-def]
         typing: Any, work: Any, out: Any, base: Any, table: Any, row: Any, n: Any
     ):
-        types: Any = numba_core.types
-        cgutils: Any = numba_core.cgutils
+        types = numba_core.types
+        cgutils = numba_core.cgutils
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             rows = VectorRows(context, builder, signature.args[0], arguments[0], lanes)
@@ -81,8 +80,8 @@ def refreshment(lanes: int) -> Callable[..., float]:
         typing: Any, work: Any, row: Any, rate: Any, last: Any, best: Any, scale: Any,
         weights: Any, n: Any, h: Any,
     ):  # fmt: skip
-        types: Any = numba_core.types
-        cgutils: Any = numba_core.cgutils
+        types = numba_core.types
+        cgutils = numba_core.cgutils
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             rows = VectorRows(context, builder, signature.args[0], arguments[0], lanes)
@@ -128,14 +127,14 @@ def refreshment(lanes: int) -> Callable[..., float]:
 
 def _absolute(builder: Any, T: Any, lanes: int) -> Any:
     """Return LLVM's function for the absolute values of a vector."""
-    cgutils: Any = numba_core.cgutils
+    cgutils = numba_core.cgutils
     get_function: Callable[..., Any] = cgutils.get_or_insert_function
     return get_function(builder.module, ir.FunctionType(T, [T]), f"llvm.fabs.v{lanes}f64")
 
 
 def _variable(builder: Any, value: Any) -> Any:
     """Allocate a variable with an initial value; return its address."""
-    cgutils: Any = numba_core.cgutils
+    cgutils = numba_core.cgutils
     return cgutils.alloca_once_value(builder, value)
 
 

@@ -17,7 +17,7 @@ from ..stepping.kernel_call import call
 from ..stepping.run_state import Run
 from ..stepping.state_rows import NEW, Y
 from .stage_products import multiply, refresh
-from .stage_rows import (
+from .tables import (
     BARY,
     BEST,
     CARRY,

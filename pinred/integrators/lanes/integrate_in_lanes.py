@@ -1,32 +1,363 @@
-"""integrate_in_lanes(): integrate a batch with an explicit method, in SIMD lanes and threads."""
+"""integrate_in_lanes(): integrate a batch with an explicit method, in SIMD lanes and threads.
+
+Each member has its own step length. All threads take members from one queue. A thread takes as
+many members at a time as it has lanes, and computes their initial rates and first steps together. A
+lane uses only its own values, so the result of a member depends neither on the lane nor on the
+other members.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from math import ceil
-from typing import Any
+from math import ceil, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.memo import once_for_all
 from ..explicit.row_programs import Rate, Sum
 from ..explicit.runge_kutta import bind_formulas, digest, steps_of
+from ..explicit.step_formulas import (
+    BEGIN_RATE,
+    END_RATE,
+    RATES,
+    dense_value,
+    fill_hermite,
+    first_step,
+    get,
+    next_step,
+    put,
+    same,
+)
 from ..explicit.tableau import Tableau
 from ..integrate import begun_by
 from ..integrate_many import Solutions, checked_batch, over_threads, solutions
 from ..methods.method import Explicit
-from ..stepping.compiling import compiled
-from ..stepping.run_state import NOT_CANONICAL
-from ..stepping.state_rows import Quaternions
+from ..stepping.compiling import compiled, unbound
+from ..stepping.kernel_call import call
+from ..stepping.run_state import (
+    DONE,
+    NOT_CANONICAL,
+    NOT_FINITE,
+    TOO_MANY,
+    UNDERFLOW,
+    Run,
+    Runs,
+    quaternions_of,
+)
+from ..stepping.state_rows import NEW, Quaternions, Y, first_entries, unit_alone
+from ..stepping.step_loop import Batch
 from ..stepping.vector_rows import FUSED
-from . import members_in_lanes
-from .members_in_lanes import READY_REGISTERS, READY_ROWS, REGISTERS, Workspace
-from .vectors import functions_of_width, vector_type
+from .vectors import bits, choose, fetch_and_add, functions_of_width, vector_type
+
+# Rows of the lane registers, all stored as floats: time and length of the next step [s]; whether
+# the last trial step was rejected; numbers of accepted steps, rejected steps and evaluations; the
+# next report time [s] and its index; the index of the entry that is not finite, −1 for none;
+# whether the lane has a member, and the index of this member; its end time [s].
+TIME, STEP, AGAIN, STEPS, REJECTED, EVALUATIONS = range(6)
+NEXT_TIME, NEXT, ENTRY, LIVE, MEMBER, END, REGISTERS = range(6, 13)
+# Rows of the registers of prepared members: length of the first step, index of the member, index of
+# the entry that is not finite. Rows COUNT and USED contain one number each: how many members are
+# prepared, and how many of them have entered lanes.
+FIRST_STEP, READY_MEMBER, READY_ENTRY, COUNT, USED, READY_REGISTERS = range(6)
+READY_ROWS = RATES  # number of rows for states of prepared members: the rows that `first_step` uses
+
+_EPS = float(np.finfo(float).eps)
+
+
+class Workspace(NamedTuple):
+    """The arrays of a thread; rows (R, n width) and parameters (p width,) are stored in lanes.
+
+    Attributes:
+        work: States and rates.
+        params: Parameters of the members that are in lanes.
+        registers: Lane registers, (REGISTERS, width).
+        ready: States and rates of prepared members.
+        ready_params: Parameters of the prepared members.
+        ready_registers: Registers of the prepared members, (READY_REGISTERS, width).
+    """
+
+    work: Array
+    params: Array
+    registers: Array
+    ready: Array
+    ready_params: Array
+    ready_registers: Array
+
+
+# --- names that a tableau and a width bind ------------------------------------------------------
+
+
+WIDTH, STAGES, OUT = 1, 1, 0
+# Numbers of evaluations: to begin a member, per step, at its end, for dense output.
+BEGUN, AT_STEP, AT_END, AT_DENSE = 2.0, 1.0, 1.0, 0.0
+
+
+fill_step = fill_end = fill_errors = fill_dense = estimate = unbound
+
+
+# --- operations on rows -----------------------------------------------------------------------
+
+
+def normalise(run: Run, rows: Array, y: int, rate: int, lanes: Any) -> None:
+    """Normalise the quaternions in row y in some lanes, and scale their rates.
+
+    Args:
+        run: Registers of the run.
+        rows: Rows in lanes.
+        y: Row of the states.
+        rate: Row of the rates.
+        lanes: Mask of the lanes.
+    """
+    for first in first_entries(quaternions_of(run)):
+        square = same(0.0)
+        for i in range(first, first + 4):
+            square = square + get(rows, y, i) * get(rows, y, i)
+        factor = choose(lanes, 1.0 / sqrt(square), 1.0)
+        for i in range(first, first + 4):
+            put(rows, y, i, get(rows, y, i) * factor)
+            put(rows, rate, i, get(rows, rate, i) * factor)
+
+
+def is_finite(run: Run, rows: Array, row: int) -> Any:
+    """Return the mask of the lanes in which all entries of a row are finite."""
+    total = same(0.0)
+    for i in range(run.n):
+        value = get(rows, row, i)
+        total = total + (value - value)  # NaN for infinities and NaN, else zero
+    return total == 0.0
+
+
+def accept_steps(run: Run, work: Array, accepted: Any) -> None:
+    """Continue from the step ends in the accepted lanes."""
+    for i in range(run.n):
+        put(work, Y, i, choose(accepted, get(work, NEW, i), get(work, Y, i)))
+        rate = choose(accepted, get(work, END_RATE, i), get(work, BEGIN_RATE, i))
+        put(work, BEGIN_RATE, i, rate)
+    normalise(run, work, Y, BEGIN_RATE, accepted)
+
+
+# --- members enter and leave lanes --------------------------------------------------------------
+
+
+def prepare_members(
+    run: Run, batch: Batch, queue: NDArray[np.int64], space: Workspace, most: int
+) -> int:
+    """Take up to `most` members from the queue, prepare their first steps; return their number."""
+    ready, params, registers = space.ready, space.ready_params, space.ready_registers
+    size = batch.y0.shape[0]
+    first: int = fetch_and_add(queue, most)
+    count: int = min(most, size - first)
+    if count <= 0:
+        registers[COUNT, 0] = registers[USED, 0] = 0.0
+        return 0
+    for lane in range(WIDTH):
+        member = first + min(lane, count - 1)
+        registers[READY_MEMBER, lane] = member
+        for i in range(run.n):
+            ready[Y, i * WIDTH + lane] = batch.y0[member, i]
+        for i in range(batch.params.shape[1]):
+            params[i * WIDTH + lane] = batch.params[member, i]
+    call(run.address, ready[Y], params, ready[BEGIN_RATE])
+    normalise(run, ready, Y, BEGIN_RATE, same(0.0) == 0.0)
+    put(registers, FIRST_STEP, 0, first_step(run, params, ready))
+    for lane in range(count):
+        registers[READY_ENTRY, lane] = -1.0
+        for i in range(run.n):
+            rate = ready[BEGIN_RATE, i * WIDTH + lane]
+            if rate - rate != 0.0:
+                registers[READY_ENTRY, lane] = i
+                break
+    registers[COUNT, 0], registers[USED, 0] = count, 0.0
+    return count
+
+
+def enter_lane(
+    run: Run, batch: Batch, queue: NDArray[np.int64], space: Workspace, lane: int, most: int
+) -> bool:
+    """Put the next member into a lane; return whether the queue had a member."""
+    work, registers = space.work, space.registers
+    ready, ready_registers = space.ready, space.ready_registers
+    while True:
+        used_up = ready_registers[USED, 0] >= ready_registers[COUNT, 0]
+        if used_up and prepare_members(run, batch, queue, space, most) == 0:
+            # The lane idles: it takes steps of length zero from a finite state.
+            registers[LIVE, lane] = registers[TIME, lane] = registers[STEP, lane] = 0.0
+            registers[NEXT_TIME, lane] = np.inf
+            for i in range(run.n):
+                work[Y, i * WIDTH + lane] = batch.y0[0, i]
+                work[BEGIN_RATE, i * WIDTH + lane] = 0.0
+            for i in range(batch.params.shape[1]):
+                space.params[i * WIDTH + lane] = batch.params[0, i]
+            return False
+        k = int(ready_registers[USED, 0])
+        ready_registers[USED, 0] += 1.0
+        member = int(ready_registers[READY_MEMBER, k])
+        entry = int(ready_registers[READY_ENTRY, k])
+        if entry >= 0:
+            outcome = batch.outcomes[member]
+            outcome.t, outcome.entry, outcome.evaluations = 0.0, entry, 1
+            outcome.status = NOT_FINITE
+            continue
+        for i in range(run.n):
+            work[Y, i * WIDTH + lane] = ready[Y, i * WIDTH + k]
+            work[BEGIN_RATE, i * WIDTH + lane] = ready[BEGIN_RATE, i * WIDTH + k]
+        for i in range(batch.params.shape[1]):
+            space.params[i * WIDTH + lane] = space.ready_params[i * WIDTH + k]
+        for row in range(REGISTERS):
+            registers[row, lane] = 0.0
+        registers[STEP, lane] = ready_registers[FIRST_STEP, k]
+        registers[EVALUATIONS, lane] = BEGUN
+        registers[ENTRY, lane] = -1.0
+        registers[LIVE, lane], registers[MEMBER, lane] = 1.0, member
+        registers[END, lane] = batch.ends[member]
+        registers[NEXT_TIME, lane] = report_time(batch, member, 0)
+        while registers[NEXT_TIME, lane] <= 0.0:
+            report_state(run, batch, space, lane, Y)
+        return True
+
+
+def report_time(batch: Batch, member: int, j: int) -> float:
+    """Return report time j of a member, infinity after the last one [s]."""
+    time: float = np.inf
+    if j < batch.times.shape[1]:
+        time = batch.times[member % batch.times.shape[0], j]
+    return time
+
+
+def report_state(run: Run, batch: Batch, space: Workspace, lane: int, row: int) -> None:
+    """Store the state in a row as the result for the next report time of a lane."""
+    registers = space.registers
+    j, member = int(registers[NEXT, lane]), int(registers[MEMBER, lane])
+    out = batch.y[member, j]
+    for i in range(run.n):
+        out[i] = space.work[row, i * WIDTH + lane]
+    unit_alone(out, quaternions_of(run))
+    registers[NEXT, lane] = j + 1
+    registers[NEXT_TIME, lane] = report_time(batch, member, j + 1)
+
+
+def non_finite_entry(run: Run, work: Array, lane: int) -> int:
+    """Return the entry that first became non-finite in a trial step of a lane, −1 for none."""
+    for k in range(STAGES + 2):
+        row = BEGIN_RATE
+        if 0 < k < STAGES:
+            row = RATES + k - 1
+        elif k >= STAGES:
+            row = NEW if k == STAGES else END_RATE
+        for i in range(run.n):
+            value = work[row, i * WIDTH + lane]
+            if value - value != 0.0:
+                return i
+    return -1
+
+
+@compiled
+def leave_lane(run: Run, batch: Batch, registers: Array, lane: int) -> None:
+    """Store the outcome of the member in a lane."""
+    outcome = batch.outcomes[int(registers[MEMBER, lane])]
+    outcome.t, outcome.entry = registers[TIME, lane], int(registers[ENTRY, lane])
+    outcome.steps, outcome.rejected = int(registers[STEPS, lane]), int(registers[REJECTED, lane])
+    outcome.evaluations = int(registers[EVALUATIONS, lane])
+    if registers[TIME, lane] >= registers[END, lane]:
+        outcome.status = DONE
+    elif registers[STEPS, lane] + registers[REJECTED, lane] >= run.max_steps:
+        outcome.status = TOO_MANY
+    else:
+        outcome.status = NOT_FINITE if outcome.entry >= 0 else UNDERFLOW
+
+
+# --- the loop -----------------------------------------------------------------------------------
+
+
+def run_members(
+    batch: Batch, initial_run: Runs, queue: NDArray[np.int64], space: Workspace, most: int
+) -> None:
+    """Integrate members of the queue until it is empty or batch.stop is not zero.
+
+    Args:
+        batch: Members, and the arrays of their results.
+        initial_run: Registers of a run before its first step.
+        queue: Number of members taken so far, (1,); all threads share it.
+        space: Workspace of this thread.
+        most: Largest number of members to take from the queue at once.
+    """
+    run: Run = initial_run[0]
+    work, registers, params = space.work, space.registers, space.params
+    space.ready_registers[COUNT, 0] = space.ready_registers[USED, 0] = 0.0
+    live = 0
+    for lane in range(WIDTH):
+        live += enter_lane(run, batch, queue, space, lane, most)
+    while live > 0 and batch.stop[0] == 0:
+        t, planned = get(registers, TIME, 0), get(registers, STEP, 0)
+        t_end = get(registers, END, 0)
+        t_new = choose(t + 1.01 * planned >= t_end, t_end, t + planned)
+        t_new = choose(get(registers, LIVE, 0) == 1.0, t_new, 0.0)
+        h = t_new - t
+        fill_step(run.address, params, work, h)
+        fill_errors(run.address, params, work, same(1.0))
+        error = estimate(run, work, h)
+        fill_end(run.address, params, work, h)
+        small = error <= 1.0
+        accepted = small & is_finite(run, work, END_RATE)
+        counted = get(registers, EVALUATIONS, 0) + choose(small, AT_STEP + AT_END, AT_STEP)
+        next_time = get(registers, NEXT_TIME, 0)
+        inside = accepted & (next_time < t_new)
+        if bits(inside) != 0:
+            fill_dense(run.address, params, work, h)
+            fill_hermite(run, work, h)
+            counted = choose(inside, counted + AT_DENSE, counted)
+            due = bits(inside)
+            while due != 0:
+                x = (next_time - t) / h
+                for i in range(run.n):
+                    put(work, OUT, i, dense_value(work, i, x))
+                for lane in range(WIDTH):
+                    if (due >> lane) & 1:
+                        report_state(run, batch, space, lane, OUT)
+                next_time = get(registers, NEXT_TIME, 0)
+                due = bits(accepted & (next_time < t_new))
+        due = bits(accepted & (next_time <= t_new))
+        for lane in range(WIDTH if due else 0):
+            if (due >> lane) & 1:
+                end = registers[NEXT_TIME, lane]
+                while registers[NEXT_TIME, lane] <= end:
+                    report_state(run, batch, space, lane, NEW)
+        non_finite = bits(~accepted & ~((error > 1.0) & (error < np.inf)))
+        for lane in range(WIDTH if non_finite else 0):
+            if (non_finite >> lane) & 1:
+                registers[ENTRY, lane] = non_finite_entry(run, work, lane)
+        accept_steps(run, work, accepted)
+        again = get(registers, AGAIN, 0) == 1.0
+        step = next_step(error, h, accepted, again, run.max_step)
+        put(registers, ENTRY, 0, choose(accepted & ~again, -1.0, get(registers, ENTRY, 0)))
+        t = choose(accepted, t_new, t)
+        steps = get(registers, STEPS, 0) + choose(accepted, 1.0, 0.0)
+        rejected = get(registers, REJECTED, 0) + choose(accepted, 0.0, 1.0)
+        put(registers, TIME, 0, t)
+        put(registers, STEP, 0, step)
+        put(registers, AGAIN, 0, choose(accepted, 0.0, same(1.0)))
+        put(registers, STEPS, 0, steps)
+        put(registers, REJECTED, 0, rejected)
+        put(registers, EVALUATIONS, 0, counted)
+        spent = steps + rejected >= float(run.max_steps)
+        stopped = (t >= t_end) | spent | (0.1 * step <= _EPS * t)
+        over = bits((get(registers, LIVE, 0) == 1.0) & stopped)
+        for lane in range(WIDTH if over else 0):
+            if (over >> lane) & 1:
+                leave_lane(run, batch, registers, lane)
+                live -= 1
+                live += enter_lane(run, batch, queue, space, lane, most)
+
+
+INLINED = (normalise, is_finite, accept_steps, report_time, report_state)
+COMPILED = (prepare_members, non_finite_entry, enter_lane, run_members)
+
 
 WIDTHS = (8, 16)  # supported numbers of SIMD lanes
 _CACHE_LINE = 64  # alignment of vectors of eight floats [bytes]
@@ -90,7 +421,7 @@ class LaneLoop:
 
     Attributes:
         width: Number of lanes.
-        members: Compiled function, see members_in_lanes.run_members.
+        members: Compiled function, see run_members.
         rows: Number of rows of `work`.
     """
 
@@ -137,9 +468,9 @@ def _lane_loop(name: str, order: int, tableau: Tableau, width: int) -> LaneLoop:
         lane_steps=partial(vector_type, width),
         flags=FUSED,
     )
-    for function in members_in_lanes.INLINED:
+    for function in INLINED:
         bindings.add(function)
-    for compiled_function in members_in_lanes.COMPILED:
+    for compiled_function in COMPILED:
         bindings.add(compiled_function, compiled)
     return LaneLoop(width, bindings.values["run_members"], steps.rows + 1)
 

@@ -13,8 +13,7 @@ from typing import Any
 
 from llvmlite import ir
 
-from ..stepping import numba_core
-from ..stepping.compiling import make_intrinsic
+from ..stepping.compiling import make_intrinsic, numba_core
 from ..stepping.vector_rows import VectorRows, splat
 
 _DOUBLE, _INT32 = ir.DoubleType(), ir.IntType(32)
@@ -90,7 +89,7 @@ def fetch_and_add(typing: Any, counter: Any, count: Any) -> Any:
         array = context.make_array(sig.args[0])(context, builder, args[0])
         return builder.atomic_rmw("add", array.data, args[1], "monotonic")
 
-    types: Any = numba_core.types
+    types = numba_core.types
     return types.int64(counter, types.int64), generate
 
 
@@ -114,7 +113,7 @@ def functions_of_width(width: int) -> dict[str, Any]:
             work = VectorRows(context, builder, sig.args[0], args[0], width)
             return work.load(args[1], builder.mul(args[2], args[2].type(width)))
 
-        types: Any = numba_core.types
+        types = numba_core.types
         return vector_type(width)(rows, types.int64, types.int64), generate
 
     @_in_lanes
@@ -124,7 +123,7 @@ def functions_of_width(width: int) -> dict[str, Any]:
             work.store(args[3], args[1], builder.mul(args[2], args[2].type(width)))
             return context.get_dummy_value()
 
-        types: Any = numba_core.types
+        types = numba_core.types
         return types.void(rows, types.int64, types.int64, vector_type(width)), generate
 
     return {"same": same, "get": get, "put": put, "choose": choose, "power": power}

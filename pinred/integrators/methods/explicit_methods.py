@@ -1,6 +1,6 @@
 """Explicit methods: the dataclasses DOP853, Tsit5 and RKMK4, which hold a method's options.
 
-Their coefficients are in explicit/dop853_tsit5_coefficients.py and, for RKMK4, in
+Their coefficients are in explicit/tableau.py and, for RKMK4, in
 explicit/munthe_kaas.py.
 """
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from ...common.argument_kinds import checks_arguments
-from ..explicit.dop853_tsit5_coefficients import dop853_tableau, tsit5_tableau
+from ..explicit.tableau import dop853_tableau, tsit5_tableau
 from .method import EqualSteps, Explicit
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
 from ..gauss.tables import MOST_STAGES, lanes_of
-from ..stepping.codes import AUTO, FIXED_POINT, NEWTON
+from ..stepping.run_state import AUTO, FIXED_POINT, NEWTON
 from .method import EqualSteps, ErrorControl, option
 
 if TYPE_CHECKING:

@@ -4,6 +4,17 @@ E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., Sprin
 section IV.8, and Hairer's code radau5.f, with its step control and constants. Evaluating the
 exact Jacobian is cheap compared with factorising the systems, so the Jacobian is recomputed before
 every factorisation.
+
+The inverse of the method's matrix is T Λ T⁻¹ with a real eigenvalue and a conjugate pair. The
+coefficients are those of SciPy, whose module takes long to import.
+
+A step end is stored as the state before its quaternions are normalised, followed by the stages of
+the step. Dense output from stored steps thus equals the dense output during the run bit for bit.
+
+The polynomial through the stages has order 3 only. Corrections from ẏ and ÿ at the ends, computed
+with the exact Jacobian, raise it to order 5. In stiff directions ẏ and ÿ amplify errors by hλ and
+(hλ)². Filters remove these directions and are 1 − O(h³) in others: 1 − (1 − F)³ with
+F = (1 − hJ/γ)⁻¹, which decreases as 1/(hλ), for ẏ, and its square for ÿ.
 """
 
 from __future__ import annotations
@@ -13,26 +24,58 @@ from math import sqrt
 import numpy as np
 
 from ...common.arrays import Array
-from ..stepping.codes import DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
-from ..stepping.kernel_call import SEEDS, call
+from ..stepping.kernel_call import SEEDS, call, call_tangent
 from ..stepping.linear_systems import factor, factor_complex, finite_jacobian, solve, solve_complex
-from ..stepping.run_state import Run, first_step_by_rate, quaternions_of, reject_step
-from ..stepping.state_rows import NEW, Y, entry_size, first_not_finite, unit
+from ..stepping.run_state import (
+    DENSE,
+    DONE,
+    NOT_FINITE,
+    Run,
+    copy_an_end,
+    first_step_by_rate,
+    quaternions_of,
+    reject_step,
+)
+from ..stepping.state_rows import NEW, Y, entry_size, first_not_finite, unit, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, loops
-from . import radau_coefficients as tableau
-from .dense import GAMMA, load_step, stage_polynomial, store_end, write_state
-from .radau_rows import ALONG, END_RATE, KEPT, MATRIX, PIVOTS, RATE, SLOPES, Z
 
-# Rows of `work` besides those of radau_rows.py. W: stages in the coordinates that diagonalise the
-# matrix of the method. F: stage rates, then right-hand sides and solutions. OLD: stages Z of the
-# previous step, relative to its initial state. MISS: error estimate.
+_S6 = 6**0.5
+
+C1, C2 = (4 - _S6) / 10, (4 + _S6) / 10  # times of the stages; the last stage is the end
+E1, E2, E3 = (float(e) for e in np.array([-13 - 7 * _S6, -13 + 7 * _S6, -1]) / 3)  # error weights
+# The C library computes powers, whose last digit may differ between platforms, and with it the key
+# of the shipped bitcode.
+_CUBE_ROOT, _CUBE_ROOT_SQUARED = 1.4422495703074083, 2.080083823051904  # of 3
+GAMMA = 3 + _CUBE_ROOT_SQUARED - _CUBE_ROOT  # real eigenvalue
+# Real and imaginary part of an eigenvalue of the pair.
+ALPHA = 3 + 0.5 * (_CUBE_ROOT - _CUBE_ROOT_SQUARED)
+BETA = -0.5 * (2.498049532966813 + 3.6028108655280087)  # of 3^(5/6) and 3^(7/6)
+T = np.array(
+    [
+        [0.09443876248897524, -0.14125529502095421, 0.03002919410514742],
+        [0.25021312296533332, 0.20412935229379994, -0.38294211275726192],
+        [1.0, 1.0, 0.0],
+    ]
+)
+T_INVERSE = np.array(
+    [
+        [4.17871859155190428, 0.32768282076106237, 0.52337644549944951],
+        [-4.17871859155190428, -0.32768282076106237, 0.47662355450055044],
+        [0.50287263494578682, -2.57192694985560522, 0.59603920482822492],
+    ]
+)
+
+# Rows of `work`: rates at both ends of a step; stages minus the state; corrections at the ends;
+# free rows; rows of Newton's method and of the Jacobian.
+RATE, END_RATE, Z, CORRECTION, FREE, PIVOTS, ALONG = 2, 4, 5, 8, 11, 18, 21
+SLOPES = ALONG + SEEDS
+MATRIX = SLOPES + SEEDS  # the Jacobian, three systems of a step, and one of the corrections
+KEPT = 4  # number of floats stored at a step end per entry of the state
+# Rows of attempted steps. W: stages in the coordinates that diagonalise the matrix of the method.
+# F: stage rates, then right-hand sides and solutions. OLD: stages Z of the previous step, relative
+# to its initial state. MISS: error estimate.
 SCALE, STAGE, W, F, OLD, MISS = 3, END_RATE, 8, 11, 14, 17
-
-_C1, _C2 = tableau.C1, tableau.C2
-_T, _TI = tableau.T, tableau.T_INVERSE
-_E1, _E2, _E3 = tableau.E1, tableau.E2, tableau.E3
-_ALPHA, _BETA = tableau.ALPHA, tableau.BETA
 _EPS = float(np.finfo(float).eps)
 
 _MOST = 7  # largest number of Newton iterations per stage solve
@@ -132,8 +175,8 @@ def _prepare(run: Run, params: Array, work: Array, h: float) -> bool:
             slope = -h * work[MATRIX + i, j]
             work[first + i, j], work[real + i, j], work[imag + i, j] = slope, slope, 0.0
         work[first + i, i] += GAMMA
-        work[real + i, i] += _ALPHA
-        work[imag + i, i] = _BETA
+        work[real + i, i] += ALPHA
+        work[imag + i, i] = BETA
     run.factored = h
     return factor(work, first, n, work[PIVOTS]) and factor_complex(
         work, real, imag, n, work[PIVOTS + 1]
@@ -224,9 +267,13 @@ def _residual(work: Array, n: int, h: float) -> None:
     for i in range(n):
         a, b, c = h * work[F, i], h * work[F + 1, i], h * work[F + 2, i]
         u, v, w = work[W, i], work[W + 1, i], work[W + 2, i]
-        work[F, i] = _TI[0, 0] * a + _TI[0, 1] * b + _TI[0, 2] * c - GAMMA * u
-        work[F + 1, i] = _TI[1, 0] * a + _TI[1, 1] * b + _TI[1, 2] * c - _ALPHA * v + _BETA * w
-        work[F + 2, i] = _TI[2, 0] * a + _TI[2, 1] * b + _TI[2, 2] * c - _BETA * v - _ALPHA * w
+        work[F, i] = T_INVERSE[0, 0] * a + T_INVERSE[0, 1] * b + T_INVERSE[0, 2] * c - GAMMA * u
+        work[F + 1, i] = (
+            T_INVERSE[1, 0] * a + T_INVERSE[1, 1] * b + T_INVERSE[1, 2] * c - ALPHA * v + BETA * w
+        )
+        work[F + 2, i] = (
+            T_INVERSE[2, 0] * a + T_INVERSE[2, 1] * b + T_INVERSE[2, 2] * c - BETA * v - ALPHA * w
+        )
 
 
 @compiled
@@ -237,7 +284,7 @@ def _move(work: Array, n: int) -> None:
             work[W + k, i] += work[F + k, i]
         u, v, w = work[W, i], work[W + 1, i], work[W + 2, i]
         for k in range(3):
-            work[Z + k, i] = _T[k, 0] * u + _T[k, 1] * v + _T[k, 2] * w
+            work[Z + k, i] = T[k, 0] * u + T[k, 1] * v + T[k, 2] * w
 
 
 @compiled
@@ -250,12 +297,12 @@ def _guess(work: Array, n: int, ratio: float) -> None:
         a, b, c = work[OLD, i], work[OLD + 1, i], work[OLD + 2, i]
         if ratio == 0.0:
             a, b, c = 0.0, 0.0, 0.0
-        u = stage_polynomial(a, b, c, 1.0 + ratio * _C1) - c
-        v = stage_polynomial(a, b, c, 1.0 + ratio * _C2) - c
+        u = stage_polynomial(a, b, c, 1.0 + ratio * C1) - c
+        v = stage_polynomial(a, b, c, 1.0 + ratio * C2) - c
         w = stage_polynomial(a, b, c, 1.0 + ratio) - c
         work[Z, i], work[Z + 1, i], work[Z + 2, i] = u, v, w
         for k in range(3):
-            work[W + k, i] = _TI[k, 0] * u + _TI[k, 1] * v + _TI[k, 2] * w
+            work[W + k, i] = T_INVERSE[k, 0] * u + T_INVERSE[k, 1] * v + T_INVERSE[k, 2] * w
 
 
 @compiled
@@ -263,7 +310,7 @@ def _error(run: Run, params: Array, work: Array, h: float) -> float:
     """Return the estimated error of a step in units of the tolerance (IV.8.19 and 8.20)."""
     n = run.n
     for i in range(n):
-        stages = _E1 * work[Z, i] + _E2 * work[Z + 1, i] + _E3 * work[Z + 2, i]
+        stages = E1 * work[Z, i] + E2 * work[Z + 1, i] + E3 * work[Z + 2, i]
         work[F, i] = stages
         work[MISS, i] = stages + h * work[RATE, i]
     solve(work, MATRIX + n, n, work[PIVOTS], work[MISS])
@@ -287,6 +334,154 @@ def _size(work: Array, n: int) -> float:
     for i in range(n):
         total += (work[MISS, i] * work[SCALE, i]) ** 2
     return sqrt(total / n)
+
+
+# --- dense output -------------------------------------------------------------------------------
+
+
+def _polynomial(c: float, a: float, b: float) -> tuple[float, float, float]:
+    """Return the coefficients of u, u² and u³ of the polynomial that is 1 at c, and 0 at 0, a, b.
+
+    NumPy's inverse of a Vandermonde matrix would depend on the processor in the last digit, and
+    with it the key of the shipped bitcode.
+    """
+    scale = c * (c - a) * (c - b)
+    return a * b / scale, -(a + b) / scale, 1.0 / scale
+
+
+# End derivatives of the Lagrange polynomials of the stages, which vanish at 0.  The rows are
+# contiguous, because numba compiles the addresses of other arrays instead of their values.
+_POWERS = np.ascontiguousarray(
+    np.transpose([_polynomial(C1, C2, 1.0), _polynomial(C2, C1, 1.0), _polynomial(1.0, C1, C2)])
+)
+_SLOPE, _BEND, _LAST_BEND = _POWERS[0], 2.0 * _POWERS[1], 2.0 * _POWERS[1] + 6.0 * _POWERS[2]
+
+
+@inlined
+def store_end(run: Run, work: Array, t: float, end_times: Array, end_states: Array) -> None:
+    """Store time, state and stages of a step (hook of the step loop)."""
+    if run.keep:
+        n, k = run.n, run.steps
+        row = NEW if run.begun else Y
+        end_times[k] = t
+        for i in range(n):
+            end_states[k, i] = work[row, i]
+            for j in range(3):
+                end_states[k, (j + 1) * n + i] = work[Z + j, i]
+
+
+@inlined
+def load_step(run: Run, params: Array, work: Array, t_new: float, stored: Array) -> None:  # noqa: ARG001
+    """Restore the stages of a stored step, and evaluate the rates at its ends (hook)."""
+    for i in range(run.n):
+        for row in range(3):
+            work[Z + row, i] = stored[(row + 1) * run.n + i]
+    call(run.address, work[Y], params, work[RATE])
+    call(run.address, work[NEW], params, work[END_RATE])
+    unit(work[Y], work[RATE], quaternions_of(run))
+
+
+@inlined
+def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
+    """Write a state inside the step, computed with the corrected stage polynomial (hook)."""
+    if not copy_an_end(run, work, time, t_new, out):
+        if run.known < DENSE:
+            run.known = DENSE
+            _fill_corrections(run, params, work, t_new - run.t)
+        x = (time - run.t) / (t_new - run.t)
+        y = 1.0 - x
+        by_slope, by_bend, by_last = (
+            x * y**3 * (1.0 + 3.0 * x),
+            0.5 * x * x * y**3,
+            0.5 * x**3 * y * y,
+        )
+        for i in range(run.n):
+            correction = (
+                by_slope * work[CORRECTION, i]
+                + by_bend * work[CORRECTION + 1, i]
+                + by_last * work[CORRECTION + 2, i]
+            )
+            polynomial = stage_polynomial(work[Z, i], work[Z + 1, i], work[Z + 2, i], x)
+            out[i] = work[Y, i] + (polynomial + correction)
+    unit_alone(out, quaternions_of(run))
+    return DONE
+
+
+@compiled
+def _fill_corrections(run: Run, params: Array, work: Array, h: float) -> None:
+    """Compute the corrections of the stage polynomial: hẏ at the start, h²ÿ at both ends."""
+    n, system, pivots = run.n, MATRIX + 4 * run.n, work[PIVOTS + 2]
+    seeds, slopes = work[ALONG:SLOPES], work[SLOPES:MATRIX]
+    directions, second_derivatives = seeds.reshape(-1), slopes.reshape(-1)
+    directions[: n * SEEDS] = 0.0
+    for i in range(n):
+        directions[i * SEEDS] = work[END_RATE, i]
+    call_tangent(run.tangent, work[NEW], params, directions, second_derivatives)
+    is_finite = True
+    for i in range(n):
+        work[CORRECTION + 2, i] = h * h * second_derivatives[i * SEEDS]
+        is_finite = is_finite and abs(work[CORRECTION + 2, i]) < np.inf
+    if not is_finite:
+        finite_jacobian(run, work[NEW], params, seeds, slopes, work, MATRIX, n)
+        for i in range(n):
+            second_derivative = 0.0
+            for j in range(n):
+                second_derivative += work[MATRIX + i, j] * work[END_RATE, j]
+            work[CORRECTION + 2, i] = h * h * second_derivative
+    finite_jacobian(run, work[Y], params, seeds, slopes, work, MATRIX, n)
+    run.evaluations += 1 + (n + SEEDS - 1) // SEEDS
+    for i in range(n):
+        second_derivative = 0.0
+        for j in range(n):
+            second_derivative += work[MATRIX + i, j] * work[RATE, j]
+            work[system + i, j] = -h / GAMMA * work[MATRIX + i, j]
+        work[system + i, i] += 1.0
+        a, b, c = work[Z, i], work[Z + 1, i], work[Z + 2, i]
+        work[CORRECTION, i] = h * work[RATE, i] - (_SLOPE[0] * a + _SLOPE[1] * b + _SLOPE[2] * c)
+        work[CORRECTION + 1, i] = h * h * second_derivative - (
+            _BEND[0] * a + _BEND[1] * b + _BEND[2] * c
+        )
+        work[CORRECTION + 2, i] -= _LAST_BEND[0] * a + _LAST_BEND[1] * b + _LAST_BEND[2] * c
+    if factor(work, system, n, pivots):
+        for row in range(3):
+            _filter(work, system, n, pivots, work[CORRECTION + row])
+            if row > 0:
+                _filter(work, system, n, pivots, work[CORRECTION + row])
+    else:
+        work[CORRECTION : CORRECTION + 3, :n] = 0.0
+
+
+@compiled
+def _filter(work: Array, system: int, n: int, pivots: Array, v: Array) -> None:
+    """Replace v by (1 − (1 − F)³) v = 3 F v − 3 F² v + F³ v.
+
+    Args:
+        work: Work rows.
+        system: First row of the factorised matrix F⁻¹ = 1 − hJ/γ.
+        n: Number of entries of the state.
+        pivots: Pivots of this factorisation.
+        v: Vector, (n,), changed in place.
+    """
+    power, total = work[FREE], work[FREE + 1]
+    for i in range(n):
+        power[i], total[i] = v[i], 0.0
+    for weight in (3.0, -3.0, 1.0):
+        solve(work, system, n, pivots, power)
+        for i in range(n):
+            total[i] += weight * power[i]
+    for i in range(n):
+        v[i] = total[i]
+
+
+@compiled
+def stage_polynomial(a: float, b: float, c: float, x: float) -> float:
+    """Return the stage polynomial, which is 0 at the start, at fraction x of a step.
+
+    a, b and c are its values at the three stages.
+    """
+    first = a * (x - C2) * (x - 1.0) / (C1 * (C1 - C2) * (C1 - 1.0))
+    second = b * (x - C1) * (x - 1.0) / (C2 * (C2 - C1) * (C2 - 1.0))
+    return x * (first + second + c * (x - C1) * (x - C2) / ((1.0 - C1) * (1.0 - C2)))
 
 
 STEPPER = Stepper(

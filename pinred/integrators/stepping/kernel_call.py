@@ -11,8 +11,7 @@ from typing import Any
 from llvmlite import ir
 
 from ...common.arrays import Array
-from . import numba_core
-from .compiling import compiled, make_intrinsic
+from .compiling import compiled, make_intrinsic, numba_core
 
 SEEDS = 8  # number of tangent directions per call of a tangent kernel
 
@@ -63,13 +62,13 @@ def _calling(*arrays: Any) -> Any:
         emit_call(builder, arguments[0], pointers)
         return context.get_dummy_value()
 
-    types: Any = numba_core.types
+    types = numba_core.types
     return types.void(types.int64, *arrays), generate
 
 
 def check_contiguous(*arrays: Any) -> None:
     """Check that numba's array types are contiguous arrays of float64, which kernels require."""
-    types: Any = numba_core.types
+    types = numba_core.types
     for array in arrays:
         if not (isinstance(array, types.Array) and array.layout == "C"):
             raise TypeError("kernel arguments must be contiguous arrays")

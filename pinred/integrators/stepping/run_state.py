@@ -14,9 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array
-from .codes import AGAIN
 from .compiling import compiled, inlined
 from .state_rows import NEW, Quaternions, Y, entry_size
+
+# Return values of `advance`. WANTED: the run needs the derivative of the kernel to continue.
+DONE, PAUSED, FULL, WANTED, UNDERFLOW, NOT_FINITE, TOO_MANY, DIVERGED = range(8)
+AGAIN = 8  # return value of an attempted step that was rejected
+
+# Solvers of implicit steps.
+AUTO, FIXED_POINT, NEWTON = 1, 2, 3
+
+# Contents of the work rows: the states at the ends of a step, also its stages, or also the terms of
+# its dense output.
+ENDS, STEP, DENSE = range(3)
+
 
 # Stored data of steps: nothing, the states at step ends, or also the stage rates.
 NOTHING_KEPT, ENDS_KEPT, STAGES_KEPT = range(3)

@@ -14,9 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array
-from .codes import AGAIN, DONE, ENDS, FULL, NOT_FINITE, PAUSED, STEP, TOO_MANY, UNDERFLOW, WANTED
 from .compiling import bind_globals, compiled, inlined, unbound
-from .run_state import Run, Runs, keep_state, quaternions_of
+from .run_state import (
+    AGAIN,
+    DONE,
+    ENDS,
+    FULL,
+    NOT_FINITE,
+    PAUSED,
+    STEP,
+    TOO_MANY,
+    UNDERFLOW,
+    WANTED,
+    Run,
+    Runs,
+    keep_state,
+    quaternions_of,
+)
 from .state_rows import NEW, Y, unit_alone
 
 _EPS = float(np.finfo(float).eps)

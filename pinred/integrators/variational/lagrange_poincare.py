@@ -40,10 +40,17 @@ from math import sqrt
 import numpy as np
 
 from ...common.arrays import Array
-from ..stepping.codes import DIVERGED, DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import call, call_closing
-from ..stepping.run_state import Run, copy_an_end, keep_state, quaternions_of
+from ..stepping.run_state import (
+    DIVERGED,
+    DONE,
+    NOT_FINITE,
+    Run,
+    copy_an_end,
+    keep_state,
+    quaternions_of,
+)
 from ..stepping.state_rows import (
     NEW,
     Y,

@@ -37,12 +37,10 @@ from ...common.optional_packages import install_command
 from ...integrators.integrate import begun_by
 from ...integrators.integrate_many import Solutions, checked_batch, solutions
 from ...integrators.methods.method import Explicit
-from ...integrators.stepping.argument_types import argument_type
-from ...integrators.stepping.call_wrapper import COMPILED
+from ...integrators.stepping.call_wrapper import COMPILED, argument_type
 from ...integrators.stepping.run_state import LAYOUT, NOT_CANONICAL, new_run
-from ...integrators.stepping.shipped_code import shipped_name
+from ...integrators.stepping.shipped_code import bitcode_of, shipped_name
 from ...integrators.stepping.step_loop import OUTCOME
-from ...integrators.stepping.wrapped_code import bitcode_of
 from ...system.state_fields import FIELDS
 from ..build import model_bytes
 from ..kernel import Kernel, in_given_order

@@ -28,9 +28,16 @@ from ...integrators.explicit.runge_kutta import (
 from ...integrators.explicit.step_formulas import SCALAR, add_formulas, dense_value, next_step
 from ...integrators.explicit.tableau import Tableau
 from ...integrators.methods.method import Explicit
-from ...integrators.stepping.codes import DENSE, DONE, STEP
 from ...integrators.stepping.compiling import Bindings, bind_globals, inlined, unbound
-from ...integrators.stepping.run_state import Run, copy_an_end, quaternions_of, reject_step
+from ...integrators.stepping.run_state import (
+    DENSE,
+    DONE,
+    STEP,
+    Run,
+    copy_an_end,
+    quaternions_of,
+    reject_step,
+)
 from ...integrators.stepping.state_rows import NEW, Y, first_not_finite, padded_rows, unit_alone
 from ...integrators.stepping.step_loop import Hooks, Stepper, loops
 

@@ -15,8 +15,10 @@ LLVM IR of CasADi's scalar operations: single lines, calls, and helper functions
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from functools import cache
+from itertools import chain, pairwise
 
 import casadi as ca
 
@@ -113,10 +115,9 @@ def helper(op: int) -> str:
 
 _LIBM_SINCOS = [f"declare double @{name}(double) {PURE}" for name in ("sin", "cos")]
 _ONE = constant(1.0)
-# Number of lines of IR in a basic block. Kernels of 200 joints compile twice as fast in blocks;
-# those of most robots have fewer lines, and are not cut.
-BLOCK = 8000
 _UNLIKELY = '!0 = !{!"branch_weights", i32 100000, i32 1}'
+_VALUE = re.compile(r"%[\w.]+")
+_OPERATION = f" {FLAGS} "  # lines of arithmetic contain it
 
 
 class _Writer:
@@ -367,6 +368,7 @@ def lower(
     fma: bool,
     wide: int = 1,
     wide_inputs: Sequence[int] = (0,),
+    part: int = 0,
 ) -> str:
     """Translate a Function to LLVM IR.
 
@@ -379,6 +381,8 @@ def lower(
         wide: Number of points at which the function is evaluated at once.  Each entry of the
             wide inputs and of the output then has this many lanes.
         wide_inputs: Indices of the inputs with lanes.
+        part: Number of lines of IR in each function that the code is divided into, see `_divide`;
+            0 for code in one function.
     Returns:
         The IR.
     Raises:
@@ -431,39 +435,85 @@ def lower(
         value[function.instruction_output(k)[0]] = new
     lines, widths = low.writer.body()
     widths |= {low.width[angle] for angle in low.both}
-    pointers = [f"ptr noalias readonly %in{k}" for k in range(inputs)]
+    pointers = [*(f"ptr noalias readonly %in{k}" for k in range(inputs)), "ptr noalias %out"]
+    parts, lines = _divide(lines, part, low.width, name, pointers) if part else ([], lines)
     return "\n".join(
         [
             *low.declarations(widths),
             *(sincos_ir(width, fma=fma) for width in sorted(widths)),
             *_LIBM_SINCOS,
             _UNLIKELY,
-            f"define void @{name}({', '.join([*pointers, 'ptr noalias %out'])}) nounwind {{",
-            *_cut(lines),
+            *parts,
+            f"define void @{name}({', '.join(pointers)}) nounwind {{",
+            *lines,
             "ret void",
             "}",
         ]
     )
 
 
-def _cut(lines: list[str]) -> list[str]:
-    """Cut long code into basic blocks, because the time of LLVM grows faster than their length.
+def _divide(
+    lines: list[str], part: int, widths: Mapping[str, int], name: str, pointers: list[str]
+) -> tuple[list[str], list[str]]:
+    """Divide long code into functions, because the time of LLVM grows faster than their length.
 
-    Each block but the last ends with a branch that is never taken, as `out` is not null.
+    The functions pass values to later ones in an array.  A part starts at an arithmetic operation,
+    so that these values are numbers and vectors, but not addresses or results of sincos.
 
     Args:
         lines: Lines of IR without branches.
+        part: Number of lines in a part; parts may be a few lines longer.
+        widths: Number of lanes of each value that has more than one.
+        name: Name of the function.
+        pointers: Its parameters.
     Returns:
-        The lines in blocks of at most BLOCK lines, up to the return.
+        The functions, and the lines that call them.
     """
-    starts = range(BLOCK, len(lines), BLOCK)
-    if not starts:
-        return lines
-    blocks = ["%whole = icmp ne ptr %out, null", *lines[:BLOCK]]
-    for k, start in enumerate(starts):
-        blocks += [f"br i1 %whole, label %block{k}, label %end, !prof !0", f"block{k}:"]
-        blocks += lines[start : start + BLOCK]
-    return [*blocks, "br label %end", "end:"]
+    starts = [0]
+    for k, line in enumerate(lines):
+        if k >= starts[-1] + part and _OPERATION in line:
+            starts.append(k)
+    parts = [lines[a:b] for a, b in pairwise([*starts, len(lines)])]
+    names = [[_VALUE.findall(line) for line in lines_of_part] for lines_of_part in parts]
+    made = {
+        values[0]: k
+        for k, of_part in enumerate(names)
+        for line, values in zip(parts[k], of_part, strict=True)
+        if line[0] == "%"
+    }
+    addresses: dict[str, int] = {}  # of values that later parts need, in the array
+    size = 0
+    for k, of_part in enumerate(names):
+        for value in chain.from_iterable(of_part):
+            if made.get(value, k) < k and value not in addresses:
+                addresses[value] = size
+                size += widths.get(value, 1)
+    functions = []
+    arguments = ", ".join([*pointers, "ptr noalias %work"])
+    for k, (of_part, values_of) in enumerate(zip(parts, names, strict=True)):
+        functions.append(f"define internal void @{name}.{k}({arguments}) noinline nounwind {{")
+        loaded = set()
+        for line, values in zip(of_part, values_of, strict=True):
+            for value in values:
+                if made.get(value, k) < k and value not in loaded:
+                    loaded.add(value)
+                    at = f"%at.{value[1:]}"
+                    functions += [
+                        f"{at} = getelementptr double, ptr %work, i64 {addresses[value]}",
+                        f"{value} = load {vector(widths.get(value, 1))}, ptr {at}, align 8"
+                        ", !invariant.load !1",
+                    ]
+            functions.append(line)
+            if line[0] == "%" and values[0] in addresses:
+                at = f"%at.{values[0][1:]}"
+                functions += [
+                    f"{at} = getelementptr double, ptr %work, i64 {addresses[values[0]]}",
+                    f"store {vector(widths.get(values[0], 1))} {values[0]}, ptr {at}, align 8",
+                ]
+        functions += ["ret void", "}"]
+    passed = ", ".join(f"ptr {pointer.split()[-1]}" for pointer in [*pointers, "%work"])
+    calls = [f"call void @{name}.{k}({passed})" for k in range(len(parts))]
+    return [*functions, "!1 = !{}"], [f"%work = alloca [{size} x double]", *calls]
 
 
 def _is_constant(value: str) -> bool:

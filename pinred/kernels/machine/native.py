@@ -18,6 +18,10 @@ from ...common.machine_code import create_machine, emit_object
 from ...reduction.tree.identical_branches import Mark
 from .lowering import RESERVED, lower
 
+# Code of more instructions is divided into functions of PART lines of IR.  Kernels of most robots,
+# and of chains of 30 joints, have fewer.
+LONG, PART = 8000, 1000
+
 
 def compile_object(
     function: ca.Function,
@@ -26,6 +30,7 @@ def compile_object(
     *,
     wide: int = 1,
     wide_inputs: Sequence[int] = (0,),
+    rare: bool = False,
 ) -> bytes:
     """Compile `void name(const double *in0, …, double *out)` for the CPU of `cpu_target`.
 
@@ -39,6 +44,8 @@ def compile_object(
         wide: Number of points at which the function is evaluated at once.  Each entry of the
             wide inputs and of `out` then occupies this many consecutive numbers.
         wide_inputs: Indices of the inputs with this layout.
+        rare: Whether the function is evaluated so rarely that long code is not optimised.  It then
+            takes a seventh of the time to compile, and twice the time to run.
     Returns:
         The object code.
     Raises:
@@ -47,10 +54,14 @@ def compile_object(
         _LoweredError: Only `lowered` needs the LLVM code.
     """
     _check(function, name, outputs=1 if marks is None else 2)
-    text = lower(function, name, marks, fma=cpu_target().fma, wide=wide, wide_inputs=wide_inputs)
+    is_long = function.n_instructions() > LONG
+    text = lower(
+        function, name, marks, fma=cpu_target().fma, wide=wide, wide_inputs=wide_inputs,
+        part=PART if is_long and not rare else 0,
+    )  # fmt: skip
     if _only_lowers.get():
         raise _LoweredError(text)
-    return generate(text)
+    return generate(text, 0 if is_long and rare else None)
 
 
 class _LoweredError(Exception):
@@ -84,17 +95,18 @@ def lowered(make: Callable[[], bytes]) -> str:
     raise RuntimeError("the function does not call compile_object")
 
 
-def generate(text: str) -> bytes:
+def generate(text: str, level: int | None = None) -> bytes:
     """Generate object code of LLVM assembly; several threads may do so at the same time.
 
     Args:
         text: The assembly.
+        level: LLVM's level of optimisation in code generation; None for `code_level`.
     Returns:
         The object code.
     """
     context = llvm.create_context()
     module = llvm.parse_assembly(text, context)
-    machine = create_machine(code_level())
+    machine = create_machine(code_level() if level is None else level)
     passes = llvm.create_new_module_pass_manager()
     passes.add_always_inliner_pass()
     passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))

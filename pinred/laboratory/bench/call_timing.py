@@ -22,7 +22,7 @@ from ...common.errors import InputError
 from ...common.waiting import Progress, one_by_one
 from ...forces.kinds import Damper
 from ...judge.compare import compare
-from ...kernels.state_jacobian import jacobian_of
+from ...kernels.derived_code import jacobian_of
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow

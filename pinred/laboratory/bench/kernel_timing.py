@@ -17,8 +17,7 @@ from ...common.waiting import Progress, one_by_one, quiet, shown
 from ...forces import SeenState, Torque, Wrench
 from ...forces.force_model import ForceModel
 from ...kernels.build import build_kernel
-from ...kernels.kernel import Kernel
-from ...kernels.state_layout import Structure
+from ...kernels.kernel import Kernel, Structure
 from ...reduction.cyclic_joints import cyclic_joints
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...system.load import load

@@ -19,11 +19,15 @@ from ...common.compile_ahead import Part, spare_processors
 from ...common.machine_code import archive_of, create_machine, emit_object, parse_bitcode
 from ...integrators.integrate_many import checked_batch
 from ...integrators.methods.method import Explicit, Method, stepper_of
-from ...integrators.stepping import shipped_code, wrapped_code
-from ...integrators.stepping.argument_types import argument_type, plain_value
-from ...integrators.stepping.call_wrapper import CallWrapper, objects_are_as_expected
-from ...integrators.stepping.replay import Replay
+from ...integrators.stepping import shipped_code
+from ...integrators.stepping.call_wrapper import (
+    CallWrapper,
+    argument_type,
+    objects_are_as_expected,
+    plain_value,
+)
 from ...integrators.stepping.run_state import new_run
+from ...integrators.stepping.state_rows import Replay
 from .divided_code import divide
 
 _LANES = 8  # members of a batch at once, unless the robot is small
@@ -78,10 +82,9 @@ def expect_tangents(method: Method, count: int) -> None:
     frozen, replay, row = read_only(np.empty((1, 1))), _replay(), np.empty((1, 1))
     tangents = (row[0], row, row, row, np.empty((1, 1, 1)))
     if not isinstance(method, Explicit):
-        from ...integrators.gauss import stage_sensitivities as gauss
-        from ...integrators.gauss.fixed_points import sensitivity_rows
+        from ...integrators.gauss import sensitivities as gauss
 
-        _expect(gauss.forward, replay, 1, 1, frozen, tangents, sensitivity_rows(1, 1))
+        _expect(gauss.forward, replay, 1, 1, frozen, tangents, gauss.sensitivity_rows(1, 1))
         return
     from ...integrators.explicit import forward_sensitivities as explicit
 
@@ -112,8 +115,7 @@ def expect_cotangents(method: Method) -> None:
         (_, dense, _), adjoint = weights_of(tableau), adjoint_sweep_of(tableau)
         _expect(adjoint.sweep, _replay(), 1, dense, back, adjoint.rows(1), row[0])
     else:
-        from ...integrators.gauss.adjoint_steps import reverse
-        from ...integrators.gauss.fixed_points import sensitivity_rows
+        from ...integrators.gauss.sensitivities import reverse, sensitivity_rows
 
         _expect(reverse, _replay(), 1, 1, 1, back, sensitivity_rows(1, 1))
 
@@ -162,7 +164,7 @@ def _expect(function: Any, *arguments: Any) -> None:
         result, context = bitcode.result, llvm.create_context()
         wrapper = CallWrapper(python.__name__, known, result)
         module = parse_bitcode(bitcode.module, context)
-        wrapped_code.check_parameters(wrapper, module)
+        shipped_code.check_parameters(wrapper, module)
         texts = [*divide(module), wrapper.text]
         module.close()  # before its context is deleted
         return [partial(_generate, text) for text in texts]
@@ -170,14 +172,14 @@ def _expect(function: Any, *arguments: Any) -> None:
     def join(codes: Sequence[bytes]) -> bytes:
         return result.encode() + b"\n" + archive_of(codes)
 
-    key = wrapped_code.key_of(name)
-    wrapped_code.STORE.compile_ahead(key, parts, join, "an integrator, once for all robots")
+    key = shipped_code.key_of(name)
+    shipped_code.STORE.compile_ahead(key, parts, join, "an integrator, once for all robots")
 
 
 def _generate(text: str) -> bytes:
     """Generate object code of LLVM assembly."""
     context = llvm.create_context()
     module = llvm.parse_assembly(text, context)
-    code = emit_object(create_machine(wrapped_code.LEVEL), module)
+    code = emit_object(create_machine(shipped_code.LEVEL), module)
     module.close()  # before its context is deleted
     return code

@@ -7,40 +7,51 @@ structure, the indices of these copies are therefore computed once.
 
 from __future__ import annotations
 
+import numpy as np
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from dataclasses import replace
 from weakref import ref
-
-import numpy as np
-
-from ...common.arrays import Array, read_only
-from ...common.errors import InputError, UnsupportedOperationError
-from ...common.memo import once, recent
+from ...common.arrays import Array
+from ...common.arrays import read_only
+from ...common.errors import InputError
+from ...common.errors import UnsupportedOperationError
+from ...common.memo import once
+from ...common.memo import recent
 from ...forces.force_model import ForceModel
-from ...forces.force_numbers import BaseInSpace, SpanNumbers
+from ...forces.force_numbers import BaseInSpace
+from ...forces.force_numbers import SpanNumbers
 from ...forces.switch_times import time_within
 from ...integrators.methods import Method
 from ...kernels.build import build_kernel
 from ...kernels.closing_code import with_multipliers
-from ...kernels.derived_code import tangent_of, wide_rate
-from ...kernels.evaluate import evaluate, evaluate_row, evaluate_runs
-from ...kernels.initial_conditions import (
-    InitialConditions,
-    InitialConditionsKernel,
-    initial_conditions_kernel,
-)
-from ...kernels.kernel import Kernel, Outputs, in_given_order
-from ...kernels.state_layout import Layout
-from ...reduction.base_parts import into_body, root_of
+from ...kernels.derived_code import tangent_of
+from ...kernels.derived_code import wide_rate
+from ...kernels.evaluate import evaluate
+from ...kernels.evaluate import evaluate_row
+from ...kernels.evaluate import evaluate_runs
+from ...kernels.initial_conditions import InitialConditions
+from ...kernels.initial_conditions import InitialConditionsKernel
+from ...kernels.initial_conditions import initial_conditions_kernel
+from ...kernels.kernel import Kernel
+from ...kernels.kernel import in_given_order
+from ...reduction.base_parts import into_body
+from ...reduction.base_parts import root_of
 from ...reduction.tree.free_bodies import free_numbers
-from ...scene.initial_state import GivenStates, finite_start
+from ...scene.initial_state import GivenStates
+from ...scene.initial_state import finite_start
 from ...system.coordinates import Indices
-from ...system.state_fields import ShapeState, State
-from ...system.system import System, nominal
-from ..plan import NO_DIFFERENCES, MemberParameters, Plan
-from ..reduced_flow import Sample, entry_name
-
+from ...system.state_fields import ShapeState
+from ...system.state_fields import State
+from ...system.system import System
+from ...system.system import nominal
+from ..plan import NO_DIFFERENCES
+from ..plan import MemberParameters
+from ..plan import Plan
+from ..reduced_flow import Sample
+from ..reduced_flow import entry_name
+from ...kernels.kernel import Layout
 
 @dataclass(frozen=True)
 class Constants:
@@ -423,7 +434,10 @@ class CompiledFlow:
         system, where = self.kernel.system, self.kernel.where
         outputs = self.outputs(t, y, parameters)
         state_class = State if self.kernel.layout.base_requested else ShapeState
-        fields = {name: read_field(where, name, outputs, system) for name in where.fields}
+        fields = {
+            name: in_given_order(name, outputs[..., entries], system)
+            for name, entries in where.fields.items()
+        }
         return state_class(t=t.copy(), **fields)
 
     def fill_states(
@@ -463,7 +477,8 @@ class CompiledFlow:
             constants = np.concatenate([self.parameters[chunk], self.path[chunk]], axis=1)
             evaluate_runs(kernel.outputs.address, constants, y[chunk], times, layout.size, outputs)
             for name, field in fields.items():
-                field[members[chunk]] = read_field(where, name, outputs, kernel.system)
+                entries = outputs[..., where.fields[name]]
+                field[members[chunk]] = in_given_order(name, entries, kernel.system)
 
     def rates(self, t: Array, y: Array, parameters: Array) -> Array:  # noqa: ARG002
         """Return dy/dt, (T, k), at reduced states (T, k), which contain the time if needed."""
@@ -493,20 +508,6 @@ class CompiledFlow:
             layout.constant_pi,
             layout.prescribed,
         )
-
-
-def read_field(where: Outputs, name: str, outputs: Array, system: System) -> Array:
-    """Extract a field of State, with joints in the order of the robot's original model.
-
-    Args:
-        where: Slices of the outputs of the kernel.
-        name: Name of the field, except "t".
-        outputs: Outputs of the kernel, (…, size).
-        system: The system of the kernel.
-    Returns:
-        The field: (…,) for scalars, else (…, length of the field's axis).
-    """
-    return in_given_order(name, outputs[..., where.fields[name]], system)
 
 
 def rate_address(kernel: Kernel, method: Method) -> int:

@@ -29,7 +29,7 @@ from ...forces.tracking import ComputedTorque
 from ...integrators.solution import Solution
 from ...integrators.stepping.state_rows import unit_alone
 from ...kernels.flow_functions import Row
-from ...kernels.state_layout import Layout
+from ...kernels.kernel import Layout
 from ...scene.input_formats import list_forces
 from ...scene.scene import Scene
 from ...scene.stop import BallBound, Bound, changed_stops

@@ -34,8 +34,7 @@ from ...integrators.solution import Solution
 from ...integrators.stepping.state_rows import unit_alone
 from ...kernels.evaluate import evaluate
 from ...kernels.flow_functions import outcome_of, reference_size
-from ...kernels.kernel import Kernel
-from ...kernels.state_layout import Layout
+from ...kernels.kernel import Kernel, Layout
 from ...scene.stop import Bound
 from ...system.coordinates import Indices
 from ...system.system import System

@@ -27,8 +27,7 @@ from ...integrators.run_derivatives import (
 )
 from ...integrators.solution import Solution
 from ...kernels.derived_code import expect_code, tangent_of
-from ...kernels.differentiable import _call_in_batches, call_value
-from ...kernels.evaluate import evaluate
+from ...kernels.evaluate import call_in_batches, call_value, evaluate
 from ...kernels.flow_functions import (
     Row,
     initial_conditions_of,
@@ -38,12 +37,12 @@ from ...kernels.flow_functions import (
     sizes_of,
 )
 from ...kernels.initial_conditions import TwistOrMomentum
-from ...kernels.kernel import Kernel, Outputs
+from ...kernels.kernel import Kernel, Outputs, in_given_order
 from ...system.coordinates import Indices
 from ...system.state_fields import Outcome, ShapeState, State, arrays_of, map_arrays
 from ...system.system import System
 from ..compiled.code_ahead import expect, expect_cotangents, expect_tangents
-from ..compiled.compiled_flow import CompiledFlow, kernel_of, rate_address, read_field
+from ..compiled.compiled_flow import CompiledFlow, kernel_of, rate_address
 from ..compiled.integrator import explained, wild_steps
 from ..members.integrate_members import integrate_members
 from ..plan import Plan, Span, spans_between
@@ -252,7 +251,7 @@ def lazy_state(
             return np.array(t)
         if not computed:
             computed.append(outputs())
-        return read_field(where, name, computed[0], system)
+        return in_given_order(name, computed[0][..., where.fields[name]], system)
 
     return LazyState(read) if wanted else LazyShapeState(read)
 
@@ -722,7 +721,7 @@ def expect_along(propagator: Propagator, rows: tuple[Row, ...], count: int) -> N
     outcome = outcome_of(propagator.kernel, rows)
     expect_tangents(method, count)
     column, matrix = np.empty(1), np.empty((1, 1))
-    expect(_call_in_batches, 1, column, column, *[matrix] * 6)
+    expect(call_in_batches, 1, column, column, *[matrix] * 6)
     if isinstance(method, Explicit):
         expect_code(field.pair if count == 1 else field.tangent)
     else:

@@ -20,8 +20,7 @@ from llvmlite import ir
 
 from ...common.arrays import Array
 from ...common.memo import once_for_all
-from ...integrators.stepping import numba_core
-from ...integrators.stepping.compiling import compiled, make_intrinsic
+from ...integrators.stepping.compiling import compiled, make_intrinsic, numba_core
 
 TARGET = "pinred_function"
 
