@@ -34,10 +34,10 @@ from ..common.object_cache import ObjectCache, cache_key
 from ..forces.force_model import ForceModel
 from ..integrators.stepping import linear_systems
 from ..integrators.stepping.kernel_call import SEEDS
+from ..reduction.tree.articulated_sweep import sweep_jacobian
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.identical_branches import Lanes, Mark
 from ..reduction.tree.scalars import Mat
-from ..reduction.tree.sweep_jacobian import sweep_jacobian
 from ..system.system import System
 from .build import model_bytes, perturbed
 from .evaluate import call_value, evaluate

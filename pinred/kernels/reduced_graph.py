@@ -31,11 +31,10 @@ from ..reduction.base_parts import BaseParts, root_of
 from ..reduction.tree.all_joints import configuration, joint_rates, joint_values, shape_gradient
 from ..reduction.tree.articulated_sweep import Swept, sweep
 from ..reduction.tree.body_frames import bodies_of, with_rotors
-from ..reduction.tree.casadi_reduction import casadi_reduction
 from ..reduction.tree.free_bodies import total_mass, with_free
 from ..reduction.tree.identical_branches import Lanes
 from ..reduction.tree.loop_constraints import LoopTerms, RestingBall, solve_with_loops
-from ..reduction.tree.momenta import centre_of_mass
+from ..reduction.tree.momenta import casadi_reduction, centre_of_mass
 from ..reduction.tree.scalars import (
     Scalar,
     Vec,

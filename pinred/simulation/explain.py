@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from ..reduction.cyclic_joints import SymmetricBall
-from ..reduction.cyclic_joints import axial_among
-from ..reduction.cyclic_joints import rotors_among
+from ..kernels.kernel import Layout
+from ..reduction.cyclic_joints import SymmetricBall, axial_among, rotors_among
 from ..reduction.potential import falling
 from ..scene.initial_state import large_angles
 from .compiled.compiled_flow import has_no_momentum
 from .plan import Plan
 from .trajectory import Trajectory
-from ..kernels.kernel import Layout
+
 
 def explain(plan: Plan) -> str:
     """Describe the terms that the compiled engine skips, and the numbers that it integrates."""

@@ -8,43 +8,35 @@ the equations in either case.
 
 from __future__ import annotations
 
-import numpy as np
-from dataclasses import dataclass
-from dataclasses import replace
-from functools import cached_property
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
-from ..common.arrays import Array
-from ..common.arrays import read_only
+
+import numpy as np
+
+from ..common.arrays import Array, read_only
 from ..common.errors import SymmetryError
 from ..common.memo import once
-from ..forces.force_model import ForceModel
-from ..forces.force_model import touched_by
+from ..forces.force_model import ForceModel, touched_by
 from ..forces.force_numbers import SpanNumbers
 from ..forces.switch_times import ROUND_OFF
-from ..integrators.methods import EqualSteps
-from ..integrators.methods import ErrorControl
-from ..integrators.methods import Method
-from ..reduction.cyclic_joints import SymmetricBall
-from ..reduction.cyclic_joints import always_symmetric
-from ..reduction.cyclic_joints import axial_among
-from ..reduction.cyclic_joints import cyclic_of
-from ..reduction.cyclic_joints import rotors_among
-from ..reduction.cyclic_joints import symmetric_balls_of
-from ..reduction.potential import acting_gravity
-from ..reduction.potential import pivot_weight
-from ..reduction.tree.free_bodies import NOTHING
-from ..reduction.tree.free_bodies import Freed
-from ..reduction.tree.free_bodies import freed_of
+from ..integrators.methods import EqualSteps, ErrorControl, Method
+from ..kernels.kernel import Layout, Structure, layout_of
+from ..reduction.cyclic_joints import (
+    SymmetricBall,
+    always_symmetric,
+    axial_among,
+    cyclic_of,
+    rotors_among,
+    symmetric_balls_of,
+)
+from ..reduction.potential import acting_gravity, pivot_weight
+from ..reduction.tree.free_bodies import NOTHING, Freed, freed_of
 from ..scene.scene import Scene
 from ..system.model_parameters import ModelParameters
 from ..system.system import System
-from .choose_method import Choice
-from .choose_method import choose
+from .choose_method import Choice, choose
 from .step_limits import step_limits
-from ..kernels.kernel import Layout
-from ..kernels.kernel import Structure
-from ..kernels.kernel import layout_of
 
 _NONE = read_only(np.empty(0))
 # Error of the integrals of functions of time by equal steps that is reported, relative to their

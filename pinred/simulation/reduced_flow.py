@@ -5,23 +5,20 @@ Two classes implement ReducedFlow and ModeFlow: CompiledFlow and PinocchioFlow.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, Self
+
 import numpy as np
-from collections.abc import Callable
-from collections.abc import Collection
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import replace
-from typing import Protocol
-from typing import Self
+
 from ..common.arrays import Array
 from ..forces.force_model import ForceModel
-from ..forces.force_numbers import BaseInSpace
-from ..forces.force_numbers import ForceInputs
-from ..system.state_fields import ShapeState
-from ..system.state_fields import State
+from ..forces.force_numbers import BaseInSpace, ForceInputs
+from ..integrators.solution import RunKeeper
+from ..system.state_fields import ShapeState, State
 from ..system.system import System
 from .plan import Plan
-from ..integrators.solution import RunKeeper
+
 
 @dataclass(frozen=True)
 class Sample:

@@ -13,20 +13,14 @@ Files, labelled arrays, kernels and flows read names, axes and units from FIELDS
 
 from __future__ import annotations
 
-from abc import ABC
-from abc import abstractmethod
-from collections.abc import Callable
-from collections.abc import Mapping
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
-from typing import Literal
-from typing import NoReturn
-from typing import TypeVar
+from typing import Any, Literal, NoReturn, TypeVar
+
 from ..common.argument_kinds import checks_arguments
-from ..common.arrays import Array
-from ..common.arrays import FrozenArrays
+from ..common.arrays import Array, FrozenArrays
 from ..common.errors import InputError
 from .system import System
 

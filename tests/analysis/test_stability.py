@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-import pinred
-from pathlib import Path
-from hypothesis import given
-from hypothesis import settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import seeds
 from trees import random_model
+
+import pinred
 from pinred.analysis.equilibria.equilibrium_problem import Points
 from pinred.analysis.equilibria.find import flow_at
 from pinred.analysis.equilibria.relative_equilibrium import RelativeEquilibrium
@@ -18,9 +19,9 @@ from pinred.analysis.equilibria.search import AmendedEnergy
 from pinred.analysis.stability.stability_verdict import second_variation
 from pinred.common.arrays import Array
 from pinred.forces import Damper
+from pinred.kernels.derived_code import jacobian_of
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
-from pinred.kernels.derived_code import jacobian_of
 
 ROOT = Path(__file__).parent.parent.parent
 

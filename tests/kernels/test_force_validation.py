@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
+from trees import placement, random_model
+
 import pinred
-from typing import Any
-from trees import placement
-from trees import random_model
 from pinred.common.object_cache import ObjectCache
-from pinred.forces import ComputedTorque
-from pinred.forces import Wrench
-from pinred.forces import generalized_forces
+from pinred.forces import ComputedTorque, Wrench, generalized_forces
 from pinred.forces.force_model import ForceModel
 from pinred.forces.force_numbers import RobotSymbols
 from pinred.kernels.build import build_kernel
-from pinred.reduction.tree.free_bodies import Freed
 from pinred.kernels.kernel import Structure
+from pinred.reduction.tree.free_bodies import Freed
 
 FAULT = 1.0 + 3e-10  # three times the tolerance
 

@@ -2,46 +2,35 @@
 
 from __future__ import annotations
 
-import casadi as ca
-import numpy as np
-import pinocchio as pin
-from collections.abc import Callable
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
-from ...common.waiting import Progress
-from ...common.waiting import one_by_one
+from ...common.waiting import Progress, one_by_one
 from ...integrators.integrate import Integration
 from ...integrators.methods.method import stepper_of
 from ...integrators.run_derivatives import run_back
 from ...integrators.stepping.compiling import compiled
-from ...integrators.stepping.kernel_call import SEEDS
-from ...integrators.stepping.kernel_call import call
-from ...integrators.stepping.kernel_call import call_slopes
+from ...integrators.stepping.kernel_call import SEEDS, call, call_slopes
 from ...integrators.stepping.linear_systems import jacobian
 from ...kernels.build import build_kernel
-from ...kernels.derived_code import tangent_of
-from ...kernels.evaluate import repeat
+from ...kernels.derived_code import jacobian_code, tangent_of
+from ...kernels.evaluate import repeat, repeat_adjoint
 from ...kernels.flow_functions import rate_of
 from ...kernels.reduced_graph import ReducedGraph
-from ...reduction.tree.free_bodies import STEP
-from ...reduction.tree.free_bodies import Freed
-from ...reduction.tree.free_bodies import pattern_of
-from ...simulation.flow_map.flow import Flow
-from ...simulation.flow_map.flow import flow
+from ...reduction.tree.free_bodies import STEP, Freed, pattern_of
+from ...simulation.flow_map.flow import Flow, flow
 from ...simulation.simulate import simulate
 from ...system.load import load
-from .timing import Table
-from .timing import fastest
-from .timing import repeated
-from .timing import robots_to_measure
-from ...kernels.derived_code import jacobian_code
-from ...kernels.evaluate import repeat_adjoint
+from .timing import Table, fastest, repeated, robots_to_measure
 
 _SPAN = 2.0  # duration of the motion [s]
 _COUNT = 200  # number of evaluations in one timed call
