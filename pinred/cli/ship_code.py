@@ -39,10 +39,9 @@ from ..simulation.simulate import simulate
 from ..simulation.simulate_many import simulate_many
 from ..system.load import load
 from ..system.system import System
-from ..views.playback.film import SIZE
-from ..views.playback.film_frames import Frames
+from ..views.playback.film import SIZE, Frames
 from ..views.playback.view_options import FILM_FPS, View
-from .warm_caches import warm_caches
+from .installation_commands import warm_caches
 
 # The compiler of all shipped bitcode.  Newer versions of LLVM read bitcode of this one, the oldest
 # that pinred supports, but not conversely.

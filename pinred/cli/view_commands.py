@@ -357,7 +357,7 @@ def _compute_grid(
 
     from ..analysis.connections.connection import rest_of
     from ..common.arrays import vector
-    from ..views.plots.motion_labels import labels_of_connection
+    from ..views.motion_source import labels_of_connection
 
     if samples < 2:
         raise InputError(f"--samples must be at least 2, got {samples}")

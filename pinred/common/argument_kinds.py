@@ -91,6 +91,17 @@ def has_fixed_entries(value: Any) -> bool:
     return not isinstance(value, (list, tuple, int))
 
 
+class Default(float):
+    """A default value of an option.  Its type marks it as a default; it behaves as a float."""
+
+    __slots__ = ()
+
+
+def is_given(value: Any) -> bool:
+    """Return whether the caller set an option, that is, its value is not a Default."""
+    return not isinstance(value, Default)
+
+
 T = TypeVar("T")
 _SOURCE = "<checks"  # start of the file name of generated code
 

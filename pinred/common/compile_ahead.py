@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from itertools import count
 from threading import Event, Lock, Thread, current_thread
 
-from .compile_notice import notice_of_compiling
+from .waiting import notice_of_compiling
 
 Part = Callable[[], bytes]  # compiles one part
 

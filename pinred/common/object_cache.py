@@ -30,11 +30,11 @@ import llvmlite.binding as llvm
 from platformdirs import user_cache_path
 
 from .compile_ahead import ObjectAhead, Part, begin, spare_processors
-from .compile_notice import notice_of_compiling
-from .cpu_target import LEVEL, code_level, cpu_target
 from .errors import CacheWarning, InputError
 from .files import TEMPORARY, fingerprint, signing_key, sweep, temporary
-from .version import __version__
+from .installation import __version__
+from .machine_code import LEVEL, code_level, cpu_target
+from .waiting import notice_of_compiling
 
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 

@@ -1,21 +1,32 @@
-"""What a user sees while waiting: lines on standard error, and progress bars.
+"""What a user sees while waiting, and Ctrl-C: lines on standard error, and progress bars.
 
 On a terminal and in a notebook, a line appears after one second, and every ten seconds after it;
 elsewhere, in a pipe or a file, every ten seconds.  The environment variable PINRED_QUIET, with any
 value, turns them off.  Bars appear on terminals and in notebooks; elsewhere, lines replace them.
+
+Exceptions in callbacks of compiled code would be lost, so `held_interrupt` delays Ctrl-C.
 """
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
 import time
 import warnings
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ContextDecorator, nullcontext, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import (
+    AbstractContextManager,
+    ContextDecorator,
+    contextmanager,
+    nullcontext,
+    suppress,
+)
 from html import escape
 from importlib import import_module
 from threading import Lock, Thread, get_ident
+from types import FrameType
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from .errors import InputError
@@ -91,6 +102,15 @@ class Wait(ContextDecorator):
         elapsed = f" ({now - self.began:.0f} s)" if self._is_stated else ""
         self._is_stated, self._due, _last_line = True, now + _EVERY, now
         return f"pinred {what}{elapsed}\n"
+
+
+def notice_of_compiling(what: str) -> Wait:
+    """Return the wait for a compilation.
+
+    Args:
+        what: What is compiled, such as "the equations of 'solo12'".
+    """
+    return Wait(f"compiles {what}; the next process finds the result in its cache")
 
 
 def say(text: str) -> None:
@@ -379,3 +399,43 @@ class _Notebook:
 def _line(title: str, part: float) -> str:
     full = round(_WIDTH * part)
     return f"{title} {'█' * full}{'·' * (_WIDTH - full)} {100 * part:3.0f} %"
+
+
+INTERRUPTED = 130  # exit code of shells for a process that SIGINT ends: 128 + SIGINT
+_reported = threading.Event()
+
+
+def report_interrupt() -> None:
+    """Print once, on standard error, that a command was interrupted."""
+    if not _reported.is_set():
+        _reported.set()
+        os.write(2, b"pinred: interrupted\n")
+
+
+# Held while a file is written that must be complete before an interrupted process ends.
+cleaning_up = threading.RLock()
+
+
+@contextmanager
+def held_interrupt() -> Iterator[Callable[[], bool]]:
+    """Delay Ctrl-C until the end of the context.
+
+    At the end, the previous handler runs; usually it raises KeyboardInterrupt.  Python receives
+    signals only in the main thread.  In other threads, or without a Python handler, Ctrl-C is not
+    delayed.
+
+    Yields:
+        A function that returns whether Ctrl-C was pressed.
+    """
+    previous = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(previous):
+        yield lambda: False
+        return
+    signals: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: signals.append((number, frame)))
+    try:
+        yield lambda: bool(signals)
+    finally:
+        signal.signal(signal.SIGINT, previous)
+        if signals:
+            previous(*signals[0])

@@ -8,8 +8,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from .errors import InputError, OutputError
+from .installation import install_command, optional_package
 from .names import quoted_path
-from .optional_packages import install_command, optional_package
 
 
 def import_zarr(path: Path, extra: str = "zarr") -> Any:

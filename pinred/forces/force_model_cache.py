@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.default_marker import Default
+from ..common.argument_kinds import Default
 from ..common.errors import InputError
 from ..common.memo import recent
 from ..common.names import brief

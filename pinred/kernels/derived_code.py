@@ -22,9 +22,8 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
-from ..common.arrays import Array
+from ..common.arrays import Array, central_differences
 from ..common.compile_ahead import spare_processors
-from ..common.differences import central_differences
 from ..common.errors import InputError, KernelMismatch
 from ..common.machine_code import NativeCode, load_object
 from ..common.memo import once

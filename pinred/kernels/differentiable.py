@@ -15,8 +15,7 @@ from functools import cached_property, partial
 import casadi as ca
 import numpy as np
 
-from ..common.arrays import Array
-from ..common.differences import central_differences
+from ..common.arrays import Array, central_differences
 from ..common.errors import InputError, KernelMismatch
 from ..common.machine_code import NativeCode
 from ..integrators.stepping.compiling import compiled

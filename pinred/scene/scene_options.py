@@ -18,8 +18,7 @@ from typing import Any, Literal, TypeAlias, TypedDict, get_args
 
 from numpy.typing import ArrayLike
 
-from ..common.argument_kinds import checks_arguments
-from ..common.default_marker import Default
+from ..common.argument_kinds import Default, checks_arguments
 from ..common.parameter import Parameter
 from ..forces.actuation import Control
 from ..forces.controller import Controller

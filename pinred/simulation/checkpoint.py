@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from ..common.arrays import Array, read_only
 from ..common.errors import InputError, OutputError
 from ..common.files import TEMPORARY, check_path, fingerprint, is_file, signing_key, write_atomic
-from ..common.interrupts import cleaning_up, held_interrupt
 from ..common.names import quoted_path
 from ..common.object_cache import cache_key
 from ..common.packed_values import pack, unpack
+from ..common.waiting import cleaning_up, held_interrupt
 from ..integrators.run_keeper import SavedRun
 
 if TYPE_CHECKING:

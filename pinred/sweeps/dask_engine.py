@@ -15,8 +15,8 @@ import cloudpickle
 import distributed
 
 from ..common.errors import InputError, PinredError
+from ..common.installation import __version__
 from ..common.names import brief, quoted
-from ..common.version import __version__
 from .sweep_job import Block, SweepJob
 
 _AHEAD = 2  # number of tasks in flight for each thread of the workers

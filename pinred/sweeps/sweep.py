@@ -16,16 +16,22 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import whole
 from ..common.errors import InputError, RejectedWarning
 from ..common.files import is_folder
+from ..common.installation import install_command, optional_package, require_package
 from ..common.names import brief, nearest, one_of, quoted, quoted_path
-from ..common.optional_packages import install_command, optional_package, require_package
 from ..common.waiting import Progress, say, shown
 from ..common.zarr_folders import import_zarr
 from ..scene.scene import Scene
 from ..scene.scene_options import BLOCK, SAMPLERS, Sampler
 from ..simulation.members.member_groups import Group, members_plan
 from ..simulation.simulate_many import check_device
-from .distributions import Distribution, Listed, parse_distribution
-from .samplers import MOST_SOBOL, PointSequence, grid_size
+from .distributions import (
+    MOST_SOBOL,
+    Distribution,
+    Listed,
+    PointSequence,
+    grid_size,
+    parse_distribution,
+)
 from .sweep_job import FAILED, REJECTED, Block, SweepJob
 from .sweep_outputs import Outputs, parse_outputs
 from .sweep_store import SweepStore, read_plan

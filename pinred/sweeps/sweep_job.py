@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.arrays import Array, whole
-from ..common.cpu_target import cpu_target
 from ..common.errors import LoopWarning, ShapeError
+from ..common.machine_code import cpu_target
 from ..common.names import quoted
 from ..scene.scene import Scene
 from ..simulation.members.member_options import MemberOptions, separate_all_rejected
@@ -21,7 +21,7 @@ from ..simulation.members.trajectories import Trajectories
 from ..simulation.simulate_many import run_members, simulate_many
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import axis_lengths
-from .samplers import PointSequence
+from .distributions import PointSequence
 from .sweep_outputs import Output
 from .varied_numbers import VariedScene
 

@@ -26,8 +26,8 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import LoadError
+from ..common.installation import optional_package
 from ..common.names import listed, plain_path, quoted
-from ..common.optional_packages import optional_package
 from .joints import axes_of, joint_kind
 from .read_sdf import INSTALL, SdfRobot, drake_warnings, read_sdf
 from .read_urdf import read_urdf, with_other_joints

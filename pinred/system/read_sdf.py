@@ -21,8 +21,8 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import ChoiceError, InputError, LoadError, ModelError
+from ..common.installation import install_command, optional_package
 from ..common.names import listed, nearest, plain_path, quoted
-from ..common.optional_packages import install_command, optional_package
 from .loops.loop import Loop
 from .passive import Spring
 from .rebuild import PRISMATIC, REVOLUTE, ModelBuilder, joint_along

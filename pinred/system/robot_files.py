@@ -31,8 +31,8 @@ import pinocchio as pin
 from ..common.arrays import entries_of
 from ..common.errors import InputError, LoadError, ModelError
 from ..common.files import is_file, is_folder
+from ..common.installation import install_command
 from ..common.names import brief, plain_path, quoted, quoted_path
-from ..common.optional_packages import install_command
 from .loops.loop import Constraint, parse_loops
 
 EVERYTHING = re.compile(rb".+", re.DOTALL)  # matches all output, as one text

@@ -19,8 +19,7 @@ from nbclient import NotebookClient
 
 import pinred
 from pinred.common import waiting
-from pinred.common.compile_notice import notice_of_compiling
-from pinred.common.waiting import ProgressBar, Wait, shown
+from pinred.common.waiting import ProgressBar, Wait, notice_of_compiling, shown
 from pinred.sweeps.sweep import PointsDone
 
 ROOT = Path(__file__).parents[2]

@@ -14,9 +14,8 @@ from native_functions import build, callable_of
 from strategies import examples
 
 from pinred.common.arrays import Array
-from pinred.common.cpu_target import cpu_target
 from pinred.common.errors import InputError, UnsupportedOperationError
-from pinred.common.machine_code import load_object
+from pinred.common.machine_code import cpu_target, load_object
 from pinred.kernels.machine import lowering, native
 from pinred.kernels.machine.native import compile_object
 

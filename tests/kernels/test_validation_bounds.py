@@ -18,8 +18,7 @@ from scaled_robots import ROBOTS, Units, evaluate_connection, scaled
 
 import pinred
 from pinred.analysis.connections import mechanical_connection
-from pinred.common.arrays import Array
-from pinred.common.differences import central_differences
+from pinred.common.arrays import Array, central_differences
 from pinred.forces import ComputedTorque, Torque, Wrench
 from pinred.forces.force_numbers import random_numbers
 from pinred.kernels import (

@@ -15,7 +15,7 @@ from trees import random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import IntegrationError, UnsupportedOperationError
-from pinred.common.optional_packages import install_command
+from pinred.common.installation import install_command
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.kernels.reduced_graph import ReducedGraph

@@ -27,7 +27,7 @@ from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
 from pinred.system.loops.loop import Loop, LoopKind
 from pinred.system.loops.looped_system import loop_values
-from pinred.views.playback.shape_panel import shape_panel
+from pinred.views.playback.playback import shape_panel
 
 
 def linkage() -> pinred.System:

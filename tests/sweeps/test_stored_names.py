@@ -16,7 +16,7 @@ import pinred
 from pinred.sweeps.stored_job import StoredScene
 
 STORED = {
-    "pinred.common.default_marker": "Default",
+    "pinred.common.argument_kinds": "Default",
     "pinred.common.parameter": "Parameter VectorParameter",
     "pinred.forces.ball_control": "BallLimit BallPD",
     "pinred.forces.controller": "Controller",
@@ -34,8 +34,9 @@ STORED = {
     "pinred.lie.spatial_groups": "_SE3 _SO3",
     "pinred.scene.event": "Event",
     "pinred.scene.scene": "Scene",
-    "pinred.sweeps.distributions": "Grid LogUniform Normal Uniform Values",
+    "pinred.sweeps.distributions": "Grid LogUniform Normal PointSequence Uniform Values",
     "pinred.sweeps.sweep_job": "SweepJob",
+    "pinred.sweeps.varied_numbers": "VariedNumber VariedScene",
     "pinred.system.ball_forces": "BallSpring",
     "pinred.system.coordinates": "CoordinateMap InitialState PlacedJoint ShapeSpace",
     "pinred.system.joints": "_named",
@@ -49,6 +50,8 @@ STORED = {
 }
 
 FORMER = {
+    "pinred.common.default_marker": "Default",
+    "pinred.sweeps.samplers": "PointSequence",
     "pinred.system.actuator": "Actuator",
     "pinred.system.elementary_joints": "_named",
     "pinred.system.shape_space": "PlacedJoint ShapeSpace",

@@ -21,9 +21,8 @@ from pinred import plots
 from pinred.lie.group import Group
 from pinred.lie.groups import SE2, SE3
 from pinred.lie.rotations import left_jacobian
-from pinred.views.plots.connection_field import moved_component
-from pinred.views.plots.motion_labels import labels_of
-from pinred.views.plots.shape_plane import draw_field, plane, refine, title_at
+from pinred.views.motion_source import labels_of
+from pinred.views.plots.connection_field import draw_field, moved_component, plane, refine, title_at
 
 CIRCLE = pinred.Gait.fourier([0.3, 0.2], [[0.5, 0.0]], [[0.0, 0.5]])
 

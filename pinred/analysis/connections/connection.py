@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.argument_kinds import call_function, checks_arguments
-from ...common.arrays import Array
-from ...common.differences import central_differences
+from ...common.arrays import Array, central_differences
 from ...common.errors import InputError, SymmetryError
 from ...common.memo import once
 from ...kernels.connection.connection_code import ConnectionCode

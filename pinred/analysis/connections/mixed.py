@@ -25,8 +25,15 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array, FrozenArrays, positive, read_only, vector, vector_or_zero
-from ...common.differences import central_differences
+from ...common.arrays import (
+    Array,
+    FrozenArrays,
+    central_differences,
+    positive,
+    read_only,
+    vector,
+    vector_or_zero,
+)
 from ...common.errors import InputError, IntegrationError, SingularInertiaError
 from ...common.machine_code import NativeCode, load_object
 from ...kernels.connection.connection_form import (

@@ -30,10 +30,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...common.arrays import Array, read_only
 from ...common.errors import UnsupportedOperationError
+from ...common.installation import install_command
 from ...common.machine_code import LLVM_LOCK
 from ...common.memo import once, once_for_all
 from ...common.object_cache import ObjectCache, cache_key
-from ...common.optional_packages import install_command
 from ...integrators.integrate import begun_by
 from ...integrators.integrate_many import Solutions, checked_batch, solutions
 from ...integrators.methods.method import Explicit

@@ -12,9 +12,8 @@ from contextvars import ContextVar
 import casadi as ca
 import llvmlite.binding as llvm
 
-from ...common.cpu_target import code_level, cpu_target
 from ...common.errors import InputError
-from ...common.machine_code import create_machine, emit_object
+from ...common.machine_code import code_level, cpu_target, create_machine, emit_object
 from ...reduction.tree.identical_branches import Mark
 from .lowering import RESERVED, lower
 

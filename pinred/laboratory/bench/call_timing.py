@@ -30,8 +30,7 @@ from ...simulation.plan import plan_of
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.load import load
-from ...views.playback.film import SIZE
-from ...views.playback.film_frames import Frames
+from ...views.playback.film import SIZE, Frames
 from ...views.playback.view_options import FILM_FPS, View
 from .timing import Table, alternating, repeated, robots_to_measure
 

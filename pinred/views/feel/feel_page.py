@@ -50,10 +50,9 @@ from ...system.loops.loop_chart import LoopChart
 from ...system.loops.looped_system import loop_kinematics
 from ...system.system import System
 from ..playback.drawn_bodies import Bodies, drawn_bodies
-from ..playback.framing import frame
 from ..playback.page import STAGE, Blob, assemble, plain_fields, resource, robot_head
-from ..playback.playback import Momentum, Playback, conserved_momentum
-from ..playback.shape_panel import motion_words
+from ..playback.playback import Momentum, Playback, conserved_momentum, motion_words
+from ..playback.scene_nodes import frame
 
 # {operation: JavaScript of its arguments}.  Comparisons are numbers, as in CasADi.
 _OPERATIONS = {

@@ -22,9 +22,8 @@ from ...common.waiting import Wait
 from ...system.system import System
 from ..motion_source import MotionSource
 from .drawn_bodies import Bodies, drawn_bodies
-from .framing import frame
-from .playback import Playback, playback
-from .shape_panel import ShapePanel, shape_panel
+from .playback import Playback, ShapePanel, playback, shape_panel
+from .scene_nodes import frame
 from .view_options import View
 
 # The page contains the viewer, so it must contain the viewer's licences.

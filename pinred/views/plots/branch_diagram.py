@@ -12,7 +12,7 @@ from ...analysis.branches.follow import Branches, BranchPoint
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError
-from .motion_labels import labels_of
+from ..motion_source import labels_of
 from .style import PALETTE, figure, legend, styled
 
 GREY = "#555555"

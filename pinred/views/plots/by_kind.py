@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from ...planning.reorientation.turn_plan import TurnPlan
     from ...simulation.trajectory import Trajectory
     from ..motion_source import MotionSource
-    from .connection_field import Part, Source
-    from .shape_plane import Limits
+    from .connection_field import Limits, Part, Source
     from .time_series import Attitudes
     from .work_against_error import MeasuredWork
 

@@ -24,15 +24,20 @@ from ...planning.optimisation.best_gait import BestGait
 from ...planning.optimisation.objective import AxisAim
 from ...planning.optimisation.transcription import merit_name
 from ...planning.reorientation.turn_plan import TurnPlan
+from ..motion_source import labels_of_connection
 from .connection_field import (
+    PATH,
+    around,
     component_of,
+    draw_field,
+    draw_path,
     motion_word,
     moved_component,
+    plane,
     robot_name,
+    title_at,
     unit_of_curvature,
 )
-from .motion_labels import labels_of_connection
-from .shape_plane import PATH, around, draw_field, draw_path, plane, title_at
 from .style import BLACK, RED, figure, legend, line, styled
 
 _MOST = 1000

@@ -21,8 +21,7 @@ from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.state_fields import FIELDS
 from ...system.stated_limits import joint_limits
-from ..motion_source import MotionSource
-from .motion_labels import Labels, labels
+from ..motion_source import Labels, MotionSource, labels
 from .style import legend, line, on_log, over_time, shown, steady, styled
 
 Attitudes: TypeAlias = Literal["quaternion", "vector", "rpy"]

@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from ....common.arrays import Array
 from ....common.errors import UnsupportedOperationError
-from ....common.optional_packages import install_command
+from ....common.installation import install_command
 from ....reduction.inertia_split import symmetric
 from ....system.system import System
 from ..problems import Problem
