@@ -46,16 +46,16 @@ from .rasteriser import (
     draw_segments,
 )
 from .scene_nodes import (
-    BLACK,
     Node,
     Part,
     camera,
+    colour_of,
     frame,
     interpolate,
     interpolate_placements,
     scene_nodes,
 )
-from .view_options import View
+from .view_options import LOOK, View
 
 SIZE = (960, 720)
 MOST_FRAMES, MOST_FPS = 20_000, 120
@@ -342,16 +342,14 @@ def _write_mp4(
     return count
 
 
-_FOV = math.radians(30.0)  # vertical field of view
-_TOP, _BOTTOM = (0.70, 0.79, 0.88), (0.42, 0.52, 0.64)  # colours of the background
-_INK, _GRID = (29, 39, 51), (0.22, 0.30, 0.40)
+_FOV = math.radians(LOOK.fov)
+_BLACK = colour_of(LOOK.mass[0])[:3]
+_INK = tuple(bytes.fromhex(LOOK.ink[1:]))
 _MARGIN, _ROUND = 10, 6  # of cards [px]
 _PAPER = (255, 255, 255, 219)  # colour and opacity of cards
 _CLOCK = 36  # height of the card of the time [px]
-_CRAMPED = 0.55  # least free area with the panel, relative to the size of the picture
 _PANEL = (211, 192)  # size of the card of the shape panel [px]
 _FIELD = (48, 36, 152, 129)  # left, top, width and height of its field [px]
-_STRONG = ((0, 114, 178), (213, 94, 0))  # colours of the most negative and positive values
 _LINE = 1.2  # width of lines [px]
 
 
@@ -382,15 +380,14 @@ class Frames:
         self._pixels = np.empty((height, width), dtype=np.int64)
         self._background = _gradient(*self._samples.shape)
         self._grid = _grid_lines(self._framing)
-        pair = None if view.pair is None else (view.pair[0], view.pair[1])
-        self._panel = shape_panel(film.system, film.x, film.xdot, pair)
+        self._panel = shape_panel(film.system, film.x, film.xdot, view.pair)
         area = self._free_area()
-        if min(area[2:]) < _CRAMPED * min(size):
+        if min(area[2:]) < LOOK.cramped * min(size):
             self._panel = None
             area = self._free_area()
         self._card = None if self._panel is None else _panel_card(self._panel)
         self._axis = (area[0] + 0.5 * area[2], area[1] + 0.5 * area[3])
-        aspect = max(min(area[2:]) / height, 0.2)
+        aspect = max(min(area[2:]) / height, LOOK.least_area)
         self._camera = camera(self._framing, _FOV, follow=self._framing.follow, aspect=aspect)
 
     @property
@@ -483,7 +480,9 @@ class Frames:
         framing = self._framing
         lines, opacities = self._grid
         if not framing.follow:
-            self._draw_lines(framing.grid + framing.wide * lines, opacities, _GRID, False)
+            self._draw_lines(
+                framing.grid + framing.wide * lines, opacities, tuple(LOOK.grid), False
+            )
             return
         by = com - framing.middle
         on_normal = framing.normal * (by @ framing.normal)
@@ -492,7 +491,7 @@ class Frames:
         steps = framing.cell * np.round([by @ row / framing.cell, by @ column / framing.cell])
         steps = steps @ np.array([row, column])
         at = framing.grid + steps + (on_normal if wall else 0.0)
-        self._draw_lines(at + lines, opacities, _GRID, False)
+        self._draw_lines(at + lines, opacities, tuple(LOOK.grid), False)
 
     def _draw_cards(self, t: float) -> None:
         """Draw the shape panel with the path so far, and the time."""
@@ -508,11 +507,11 @@ class Frames:
         k = int(np.searchsorted(film.t, t, side="right"))
         path = np.vstack([self._panel.path[:k], interpolate(film.t, self._panel.path, t)])
         points = _in_field(self._panel, path) + np.array([left, top])
-        self._draw_flat(points, 1.4, BLACK)
+        self._draw_flat(points, 1.4, _BLACK)
         angle = np.linspace(0.0, 2.0 * np.pi, 25)
         circle = np.column_stack([np.cos(angle), np.sin(angle)])
-        self._draw_flat(points[-1] + 1.6 * circle, 3.2, (0.94, 0.89, 0.26))
-        self._draw_flat(points[-1] + 3.2 * circle, 1.0, BLACK)
+        self._draw_flat(points[-1] + 1.6 * circle, 3.2, colour_of(LOOK.point)[:3])
+        self._draw_flat(points[-1] + 3.2 * circle, 1.0, _BLACK)
 
     def _draw_flat(self, points: Array, width: float, colour: tuple[float, float, float]) -> None:
         """Draw a line through points of the picture, (N, 2) [px]."""
@@ -571,7 +570,8 @@ def _view(eye: Array, ahead: Array, lens: Array) -> Array:
 def _gradient(rows: int, columns: int) -> Samples:
     """Return the samples of the background."""
     share = (np.arange(rows) + 0.5)[:, None] / rows
-    colours = np.round(255.0 * ((1.0 - share) * np.array(_TOP) + share * np.array(_BOTTOM)))
+    top, bottom = map(np.array, LOOK.background)
+    colours = np.round(255.0 * ((1.0 - share) * top + share * bottom))
     packed = colours.astype(np.int64) @ np.array([1 << 16, 1 << 8, 1])
     return np.ascontiguousarray(np.broadcast_to(packed[:, None], (rows, columns)))
 
@@ -687,5 +687,8 @@ def _panel_card(panel: ShapePanel) -> Samples:
 
 def _colours(values: Array) -> NDArray[np.uint8]:
     """Return red, green and blue of values from −1 (blue) over 0 (white) to 1 (orange)."""
-    strong = np.where((values < 0.0)[..., None], *(np.array(colour) for colour in _STRONG))
+    strong = np.where(
+        (values < 0.0)[..., None],
+        *(255.0 * np.array(colour_of(colour)[:3]) for colour in LOOK.field),
+    )
     return np.asarray(255.0 + (strong - 255.0) * np.abs(values)[..., None]).round().astype(np.uint8)

@@ -7,6 +7,7 @@ shape panel shows the path in shape space over the curvature of the connection.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -373,7 +374,7 @@ class ShapePanel(FrozenArrays):
 
 
 def shape_panel(
-    system: System, x: Array, xdot: Array, pair: tuple[str, str] | None = None
+    system: System, x: Array, xdot: Array, pair: Sequence[str] | None = None
 ) -> ShapePanel | None:
     """Compute the shape panel; None for a rigid body, which has no joints.
 

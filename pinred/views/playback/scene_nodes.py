@@ -16,14 +16,8 @@ from ...lie.rotations import rotation
 from ...system.mesh_files import Mesh
 from .drawn_bodies import Bodies, Colour, Solid, extents, solid_mesh
 from .playback import Playback
+from .view_options import LOOK, ArrowLook
 
-BLACK, ORANGE, PURPLE = (0.07, 0.07, 0.07), (0.84, 0.37, 0.0), (0.48, 0.31, 0.64)
-_AXES = ((0.80, 0.20, 0.07), (0.0, 0.62, 0.45), (0.0, 0.33, 0.80))  # of frames: x, y, z
-_HULL, _RINGS, _BROWN = (0.34, 0.71, 0.91, 0.1), (0.12, 0.44, 0.66, 0.55), (0.55, 0.32, 0.04)
-_SPHERE = (0.67, 0.20, 0.47)
-_GHOST_COLOUR = (0.0, 0.45, 0.70, 0.38)
-_ARROW_LENGTH = 1.25  # length of the momentum arrow, in radii of the robot
-_FADE = 0.25  # time in which the flash of an impact fades, at the film's speed [s]
 _STILL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # identity placement
 _BEHIND, _ABOVE, _TOP = 1, 2, 3  # order of objects that are drawn over everything else
 
@@ -111,51 +105,48 @@ def scene_nodes(film: Playback, bodies: Bodies, framing: Framing, speed: float) 
     if film.ghost is not None:
         placements = film.ghost.placements.copy()
         placements[..., :3] += framing.aside
-        nodes += _robot("full simulation", film, placements, bodies, _GHOST_COLOUR)
+        nodes += _robot("full simulation", film, placements, bodies, colour_of(*LOOK.ghost))
     return [*nodes, *_overlays(film, framing), *_flashes(film, framing, speed)]
 
 
 def _overlays(film: Playback, framing: Framing) -> Iterator[Node]:
     """Yield the objects that move with joints, the centre of mass and the momentum."""
     radius, system = framing.radius, film.system
-    hull = _solid("ellipsoid", (1.0, 1.0, 1.0), _HULL)
+    hull = _solid("ellipsoid", (1.0, 1.0, 1.0), colour_of(*LOOK.inertia))
     yield Node(
-        ("overlays", "locked inertia"), _at(film.com), (hull,), _circles(_RINGS),
+        ("overlays", "locked inertia"), _at(film.com), (hull,), _circles(1.0, *LOOK.inertia_rings),
         stretch=film.ellipsoid,
     )  # fmt: skip
     if film.sphere is not None:
         placements = film.placements[:, film.sphere.joint].copy()
         placements[:, :3] = film.momentum.tail
-        size = _ARROW_LENGTH * radius
-        sphere = _solid("sphere", (size,), (*_SPHERE, 0.08))
-        path = Line(size * film.sphere.path, (*_SPHERE, 1.0))
-        yield Node(("overlays", "momentum sphere"), placements, (sphere,), (path,))
-    yield Node(
-        ("overlays", "base frame"), film.placements[:, 1], _axes(0.5 * radius, 0.013 * radius),
-        order=_BEHIND,
-    )  # fmt: skip
+        size = LOOK.arrow_length * radius
+        sphere = _solid("sphere", (size,), colour_of(*LOOK.sphere))
+        path = Line(size * film.sphere.path, colour_of(LOOK.sphere[0]))
+        lines = (path, *_circles(size, *LOOK.sphere_rings))
+        yield Node(("overlays", "momentum sphere"), placements, (sphere,), lines)
+    base_axes = _axes(radius, *LOOK.base_axes)
+    yield Node(("overlays", "base frame"), film.placements[:, 1], base_axes, order=_BEHIND)
     for ball in system.space.balls:
         joint = system.sorted_model.getJointId(ball.name)
-        dot = _solid("sphere", (0.035 * radius,), (*PURPLE, 1.0), lit=False)
-        bodies_of_mark = (*_axes(0.13 * radius, 0.008 * radius), dot)
+        bodies_of_mark = (*_axes(radius, *LOOK.ball_axes), _dot(radius, *LOOK.ball))
         name = f"ball joint {ball.name}"
         yield Node(("overlays", name), film.placements[:, joint], bodies_of_mark, order=_BEHIND)
     if (arrow := momentum_arrow(film, framing)) is not None:
-        look = (0.016 * radius, 0.05 * radius, 0.17 * radius, ORANGE, _ABOVE)
-        yield from _arrow("momentum", arrow, *look)
+        yield from _arrow("momentum", arrow, radius, LOOK.momentum)
     if system.gravity.any():
-        arrow_vector = 0.5 * radius * system.gravity / np.linalg.norm(system.gravity)
+        length = LOOK.gravity_length * radius
+        arrow_vector = length * system.gravity / np.linalg.norm(system.gravity)
         middle = film.com + framing.gravity_at
         arrow = Arrow(middle - 0.5 * arrow_vector, np.broadcast_to(arrow_vector, middle.shape))
-        look = (0.012 * radius, 0.048 * radius, 0.15 * radius, _BROWN, _ABOVE)
-        yield from _arrow("gravity", arrow, *look)
-        dot = _solid("sphere", (1e-6 * radius,), (*_BROWN, 1.0), lit=False)
+        yield from _arrow("gravity", arrow, radius, LOOK.gravity)
+        dot = _dot(radius, LOOK.gravity[0], 1e-6)
         yield Node(
             ("overlays", "g"), _at(middle - 0.65 * arrow_vector), (dot,), order=_ABOVE, label="g"
         )
-    trail = Line(film.com, (*BLACK, 1.0), grows=True)
+    trail = Line(film.com, colour_of(LOOK.mass[0]), grows=True)
     yield Node(("overlays", "trail"), _at(np.zeros_like(film.com)), lines=(trail,), order=_ABOVE)
-    dot = _solid("sphere", (0.03 * radius,), (*BLACK, 1.0), lit=False)
+    dot = _dot(radius, *LOOK.mass)
     yield Node(("overlays", "centre of mass"), _at(film.com), (dot,), order=_TOP)
 
 
@@ -165,35 +156,25 @@ def _flashes(film: Playback, framing: Framing, speed: float) -> Iterator[Node]:
     for joint in np.unique(film.impacts[:, 1]).astype(int):
         times = np.sort(film.impacts[film.impacts[:, 1] == joint, 0])
         last = np.concatenate([[-np.inf], times])[np.searchsorted(times, film.t, side="right")]
-        opacity = np.clip(1.0 - (film.t - last) / (_FADE * speed), 0.0, 1.0)
-        ball = _solid("sphere", (0.1 * framing.radius,), (*ORANGE, 1.0), lit=False)
+        opacity = np.clip(1.0 - (film.t - last) / (LOOK.fade * speed), 0.0, 1.0)
+        ball = _dot(framing.radius, *LOOK.impact)
         where = film.placements[:, joint]
         name = f"impact at {names[int(joint)]}"
         yield Node(("overlays", name), where, (ball,), opacity=opacity, order=_TOP)
 
 
-def _arrow(
-    name: str,
-    arrow: Arrow,
-    thin: float,
-    wide: float,
-    head: float,
-    colour: tuple[float, float, float],
-    order: int,
-) -> Iterator[Node]:
+def _arrow(name: str, arrow: Arrow, radius: float, look: ArrowLook) -> Iterator[Node]:
     """Yield the shaft and the tip of an arrow.
 
     Args:
         name: Name of the node.
         arrow: The arrow over time.
-        thin: Radius of the shaft [m].
-        wide: Radius of the tip [m].
-        head: Length of the tip [m].
-        colour: Red, green and blue.
-        order: Order of drawing.
+        radius: Radius of the robot [m].
+        look: Colour and sizes of the arrow.
     Yields:
         The nodes.
     """
+    colour, (thin, wide, head) = colour_of(look[0]), (radius * size for size in look[1:])
     lengths = np.linalg.norm(arrow.vector, axis=1)
     turns = np.array([_quaternion_to(vector) for vector in arrow.vector])
     visible = (lengths > 0.0).astype(float)
@@ -201,16 +182,16 @@ def _arrow(
     stretch[:, 0, 0] = stretch[:, 1, 1] = 1.0
     stretch[:, 2, 2] = np.maximum(lengths - head, 1e-9 * head)
     up = np.array([0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0])
-    shaft = _solid("cylinder", (thin, 0.5), (*colour, 1.0), up, lit=False)
-    tip = _solid("cone", (wide, 0.5 * head), (*colour, 1.0), lit=False)
+    shaft = _solid("cylinder", (thin, 0.5), colour, up, lit=False)
+    tip = _solid("cone", (wide, 0.5 * head), colour, lit=False)
     placements = np.column_stack([arrow.tail, turns])
     yield Node(
         ("overlays", f"{name} shaft"), placements, (shaft,), stretch=stretch, opacity=visible,
-        order=order,
+        order=_ABOVE,
     )  # fmt: skip
     ends = placements.copy()
     ends[:, :3] += rotation(turns)[..., 2] * (lengths - 0.5 * head)[:, None]
-    yield Node(("overlays", f"{name} tip"), ends, (tip,), opacity=visible, order=order)
+    yield Node(("overlays", f"{name} tip"), ends, (tip,), opacity=visible, order=_ABOVE)
 
 
 def _quaternion_to(vector: Array) -> Array:
@@ -219,22 +200,34 @@ def _quaternion_to(vector: Array) -> Array:
     return np.array(turn.coeffs()) if vector.any() else _STILL[3:]
 
 
-def _axes(length: float, thin: float) -> tuple[Part, ...]:
-    """Return red, green and blue rods along the axes of a node."""
-    cylinders = []
-    for axis, colour in zip(np.eye(3), _AXES, strict=True):
-        placement = np.concatenate([0.5 * length * axis, _quaternion_to(axis)])
-        cylinders.append(
-            _solid("cylinder", (thin, 0.5 * length), (*colour, 1.0), placement, lit=False)
+def _axes(radius: float, length: float, thin: float) -> tuple[Part, ...]:
+    """Return red, green and blue rods along the axes of a node; sizes in radii of the robot."""
+    size = (radius * thin, 0.5 * radius * length)
+    return tuple(
+        _solid(
+            "cylinder", size, colour_of(colour),
+            np.concatenate([size[1] * axis, _quaternion_to(axis)]), lit=False,
         )
-    return tuple(cylinders)
+        for axis, colour in zip(np.eye(3), LOOK.axes, strict=True)
+    )  # fmt: skip
 
 
-def _circles(colour: Colour) -> tuple[Line, ...]:
-    """Return three equators of the unit sphere."""
+def _dot(radius: float, colour: str, size: float) -> Part:
+    """Return a ball without shades; its size is in radii of the robot."""
+    return _solid("sphere", (size * radius,), colour_of(colour), lit=False)
+
+
+def colour_of(text: str, opacity: float = 1.0) -> Colour:
+    """Return red, green, blue and opacity, from 0 to 1, of a colour "#rrggbb"."""
+    red, green, blue = bytes.fromhex(text[1:])
+    return red / 255.0, green / 255.0, blue / 255.0, opacity
+
+
+def _circles(radius: float, colour: str, opacity: float) -> tuple[Line, ...]:
+    """Return three equators of a sphere."""
     angle = np.linspace(0.0, 2.0 * np.pi, 97)
-    circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(97)])
-    return tuple(Line(np.roll(circle, k, axis=1), colour) for k in range(3))
+    circle = radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(97)])
+    return tuple(Line(np.roll(circle, k, axis=1), colour_of(colour, opacity)) for k in range(3))
 
 
 def _solid(
@@ -255,7 +248,7 @@ def momentum_arrow(film: Playback, framing: Framing) -> Arrow | None:
     largest = float(np.linalg.norm(film.momentum.vector, axis=1).max())
     if largest == 0.0:
         return None
-    scale = _ARROW_LENGTH * framing.radius / largest
+    scale = LOOK.arrow_length * framing.radius / largest
     return Arrow(film.momentum.tail, scale * film.momentum.vector)
 
 
@@ -394,7 +387,7 @@ def camera(framing: Framing, fov: float, *, follow: bool, aspect: float = 1.0) -
     target = 0.5 * framing.aside + (0.0 if follow else framing.middle)
     reach = framing.reach if follow else framing.span
     reach += 0.5 * float(np.linalg.norm(framing.aside))
-    distance = float(1.02 * reach / np.sin(half))
+    distance = float(LOOK.margin * reach / np.sin(half))
     return Camera(target + distance * framing.eye, target, distance, reach)
 
 

@@ -35,7 +35,7 @@ DASHES: tuple[Any, ...] = (
 )
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 FIELD = "cividis"  # colour map that is also readable in grey
-# Colour map of values of both signs, white at zero: the colours of playback (field.js).
+# Colour map of values of both signs, white at zero: the colours of playback (Look.field).
 SIGNED = LinearSegmentedColormap.from_list("pinred_signed", (BLUE, "#FFFFFF", RED))
 WIDTH = 6.4  # text width of a page [in]
 _LETTERS = 13.0  # number of letters of a title in an inch
