@@ -259,9 +259,9 @@ def add_options(sub: argparse.ArgumentParser, keys: Mapping[str, Key]) -> None:
             text = key.description
             sub.add_argument(key.command, dest=name, action="store_const", const=True, help=text)
         elif key.command:
-            kind = {Number: float, Whole: int}.get(type(key.node), str)
+            value_type = {Number: float, Whole: int}.get(type(key.node), str)
             action = "append" if isinstance(key.node, ByName) or name == "stops" else "store"
-            add(key.command, key.description, kind, dest=name, action=action)
+            add(key.command, key.description, value_type, dest=name, action=action)
 
 
 def options_in(arguments: argparse.Namespace, keys: Mapping[str, Key]) -> dict[str, Any]:
@@ -445,7 +445,11 @@ def _method(arguments: argparse.Namespace) -> str:
         return name
     if name in ("auto", *METHODS):
         methods_with = {
-            key: [m for m, kind in METHODS.items() if key in [o.name for o in options_of(kind)]]
+            key: [
+                m
+                for m, method_class in METHODS.items()
+                if key in [o.name for o in options_of(method_class)]
+            ]
             for key in stated
         }
         if name not in methods_with.get("step", [name]):

@@ -14,14 +14,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
-from ..common.names import listed, quoted
-from .command_files import check_robot, describe_file, motion_in, print_report
+from ..common.files import DATA, check_path
+from ..common.names import listed
+from .command_files import check_robot, describe_file, motion_in, out_path, print_report
 from .command_options import (
     add_options,
     add_parameters,
     add_repeated,
     add_robot,
     add_scene,
+    assigned_in,
     option_adder,
     options_in,
     parameters_in,
@@ -97,7 +99,6 @@ def run_run(arguments: argparse.Namespace) -> int:
         return 0
     if arguments.scene is None:
         raise InputError("run needs a scene: the name of a TOML file; see `pinred run --help`")
-    from ..common.files import check_path
     from ..scene.initial_state import large_angles
     from ..scene.toml.reader import read_scene_file
     from ..simulation.explain import explain
@@ -126,7 +127,7 @@ def run_run(arguments: argparse.Namespace) -> int:
     if arguments.validate:
         print(f"ok: {_title(scene)}")
         return 0
-    path = None if arguments.out is None else check_path(arguments.out, SUFFIXES, folders=FOLDERS)
+    path = out_path(arguments, SUFFIXES, FOLDERS)
     traj = simulate(scene, engine=engine, check=check, checkpoint=checkpoint, progress=True)
     print(summary_of_run(traj))
     if path is not None:
@@ -137,7 +138,6 @@ def run_run(arguments: argparse.Namespace) -> int:
 
 def _run_phases(arguments: argparse.Namespace, file: SceneFile) -> int:
     """Run a file with several phases.  Returns 0, or 1 or 3 if a comparison does not pass."""
-    from ..common.files import check_path
     from ..simulation.contact.chain_file import run_phases
     from ..simulation.explain import explain
     from ..simulation.over_time import FOLDERS, SUFFIXES
@@ -153,7 +153,7 @@ def _run_phases(arguments: argparse.Namespace, file: SceneFile) -> int:
         robots = " and ".join(scene.system.name for scene in scenes)
         print(f"ok: {robots}, {len(file.phases) + 1} phases; later robots are known when they run")
         return 0
-    path = None if arguments.out is None else check_path(arguments.out, SUFFIXES, folders=FOLDERS)
+    path = out_path(arguments, SUFFIXES, FOLDERS)
     chain = run_phases(file, engine=arguments.engine, check=bool(arguments.check), progress=True)
     print(summary_of_chain(chain, explain if arguments.explain else None))
     if path is not None:
@@ -264,7 +264,6 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     """Simulate and write.  Returns 0."""
     import numpy as np
 
-    from ..common.files import check_path
     from ..simulation.over_time import FOLDERS, SUFFIXES
     from ..simulation.simulate import simulate
 
@@ -329,7 +328,7 @@ def run_sweep(arguments: argparse.Namespace) -> int:
     single = {name: key for name, key in SWEEP_OPTIONS.items() if name not in ("vary", "outputs")}
     stated = options_in(arguments, single)
     if arguments.vary:
-        stated["vary"] = {**file.sweep.get("vary", {}), **_assigned(arguments.vary)}
+        stated["vary"] = {**file.sweep.get("vary", {}), **_laws(arguments.vary)}
     if arguments.outputs:
         stated["outputs"] = _outputs(arguments.outputs)
     options: dict[str, Any] = {**file.sweep, **stated}
@@ -348,17 +347,17 @@ def run_sweep(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _assigned(entries: Sequence[str]) -> dict[str, str]:
+def _laws(entries: Sequence[str]) -> dict[str, str]:
     """Parse texts NAME=LAW.  Raises InputError."""
-    values = {}
-    for entry in entries:
-        name, sign, text = entry.partition("=")
-        if not (sign and name.strip() and text.strip()):
-            raise InputError(
-                f"--vary takes NAME=LAW, such as 'front.mass=Uniform(0.5, 2)', got {quoted(entry)}"
-            )
-        values[name.strip()] = text.strip()
-    return values
+
+    def read(text: str) -> str:
+        if not text.strip():
+            raise ValueError
+        return text.strip()
+
+    usage = "NAME=LAW, such as 'front.mass=Uniform(0.5, 2)'"
+    laws = assigned_in(entries, "vary", read, usage, noun="")
+    return {name.strip(): law for name, law in laws.items()}
 
 
 def _outputs(entries: Sequence[str]) -> dict[str, str]:
@@ -480,11 +479,8 @@ def _keys() -> dict[str, Key]:
 
 def _check_after(arguments: argparse.Namespace) -> None:
     """Check the options before a long simulation.  Raises InputError."""
-    from ..common.files import DATA, check_path
-
     options = options_in(arguments, _keys())
-    if arguments.out is not None:
-        check_path(Path(arguments.out), DATA)
+    out_path(arguments, DATA)
     if "duration" not in options and options:
         raise InputError("pass --duration T to simulate the motion after the impact")
 

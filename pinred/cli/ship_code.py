@@ -131,16 +131,16 @@ def compile_missing(folder: Path) -> None:
 
 def _calls(system: System) -> Iterator[Callable[[], Any]]:
     """Yield simulations, batches and derivatives with all methods."""
-    for name, kind in METHODS.items():
-        method = name if kind.adaptive else f"{name}(0.01)"
+    for name, method_class in METHODS.items():
+        method = name if method_class.adaptive else f"{name}(0.01)"
         yield partial(_between, system, method)
         yield partial(_in_parts, system, method)
         yield partial(simulate_many, system, seeds=range(8), times=[_DURATION], method=method)
         yield partial(_derivatives, system, method)
         yield partial(_without_variables, method)
     yield lambda: compare(simulate(system, seed=1, duration=_DURATION))
-    for kind in (DOP853, Tsit5):
-        yield partial(stepper_with_few_rows(kind()).loops.advance, *loop_arguments())
+    for method_class in (DOP853, Tsit5):
+        yield partial(stepper_with_few_rows(method_class()).loops.advance, *loop_arguments())
     yield partial(_uncommon, system)
     yield partial(_film, system)
     if find_spec("jax") is not None:

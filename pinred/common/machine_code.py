@@ -163,9 +163,9 @@ def load_objects(codes: Mapping[str, bytes]) -> tuple[NativeCode, ...]:
     Raises:
         InputError: As for `load_object`.
     """
-    parts = {name: list(_parts(code)) for name, code in codes.items()}
+    object_codes = {name: list(_parts(code)) for name, code in codes.items()}
     for name, code in codes.items():
-        if not all(object_code[:_IDENTITY] == _identity() for object_code in parts[name]):
+        if not all(object_code[:_IDENTITY] == _identity() for object_code in object_codes[name]):
             raise InputError(
                 f"the {len(code)} bytes for '{name}' are not object code for this machine"
             )
@@ -173,7 +173,7 @@ def load_objects(codes: Mapping[str, bytes]) -> tuple[NativeCode, ...]:
         machine = create_machine(1)
         # Use the global context, because a private one would have to outlive the engine.
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-        for object_code in chain.from_iterable(parts.values()):
+        for object_code in chain.from_iterable(object_codes.values()):
             engine.add_object_file(llvm.ObjectFileRef.from_data(object_code))
         engine.finalize_object()
         addresses = {name: engine.get_function_address(name) for name in codes}

@@ -196,9 +196,9 @@ def cache_key(*parts: bytes | str) -> str:
     digest = sha256()
     cpu = cpu_target()
     level = () if code_level() == LEVEL else (f"level {code_level()}",)
-    for part in (*parts, *_environment(), cpu.name, cpu.features, *level):
-        data = part.encode() if isinstance(part, str) else part
-        digest.update(b"s" if isinstance(part, str) else b"b")
+    for value in (*parts, *_environment(), cpu.name, cpu.features, *level):
+        data = value.encode() if isinstance(value, str) else value
+        digest.update(b"s" if isinstance(value, str) else b"b")
         digest.update(struct.pack("<Q", len(data)) + data)
     return digest.hexdigest()
 

@@ -237,17 +237,17 @@ class ProgressBar:
         if not self._count or done <= 0.0:
             return ""
         elapsed = time.monotonic() - self._began
-        left = elapsed * (1.0 - part) / done
-        return f", {done * self._count / elapsed:.3g} {self._unit}/s, {_duration(left)} left"
+        remaining = elapsed * (1.0 - part) / done
+        return f", {done * self._count / elapsed:.3g} {self._unit}/s, {_duration(remaining)} left"
 
 
 def _duration(seconds: float) -> str:
     """Return a duration in words, such as "12 s" or "1 h 05 min"."""
-    minutes, rest = divmod(round(seconds), 60)
+    minutes, seconds_left = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     if hours:
         return f"{hours} h {minutes:02d} min"
-    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+    return f"{minutes} min {seconds_left:02d} s" if minutes else f"{seconds_left} s"
 
 
 class LongRunNotice:
@@ -269,11 +269,11 @@ class LongRunNotice:
         if not self._is_open or part <= 0.0 or elapsed < _NOTICE_AFTER:
             return
         self._is_open = False
-        left = elapsed * (1.0 - part) / part
-        if left > _LONG_WORK:
+        remaining = elapsed * (1.0 - part) / part
+        if remaining > _LONG_WORK:
             warnings.warn(
                 f"{self._what}: {100.0 * part:.2g} % took {_duration(elapsed)}, and the rest takes "
-                f"about {_duration(left)}. progress=True shows a bar.",
+                f"about {_duration(remaining)}. progress=True shows a bar.",
                 stacklevel=2,
             )
 

@@ -62,7 +62,7 @@ class Listed(Distribution):
         """The values, (count,)."""
 
     def at(self, u: Array) -> Array:
-        """Return listed values; see Distribution."""
+        """Return the listed values with cumulative probabilities u; see Distribution."""
         values = self.listed
         numbers = (_levels(u) * len(values)).astype(int)
         return np.asarray(values[np.minimum(numbers, len(values) - 1)])
@@ -85,7 +85,7 @@ class Uniform(Distribution):
         _increasing(self.low, self.high, "Uniform")
 
     def at(self, u: Array) -> Array:
-        """Return values; see Distribution."""
+        """Return the values with cumulative probabilities u; see Distribution."""
         return np.asarray(self.low + (self.high - self.low) * _levels(u))
 
 
@@ -107,7 +107,7 @@ class LogUniform(Distribution):
         _increasing(self.low, self.high, "LogUniform")
 
     def at(self, u: Array) -> Array:
-        """Return values; see Distribution."""
+        """Return the values with cumulative probabilities u; see Distribution."""
         return np.asarray(self.low * (self.high / self.low) ** _levels(u))
 
 
@@ -130,7 +130,7 @@ class Normal(Distribution):
             raise InputError(f"mean of Normal must be finite, got {self.mean}")
 
     def at(self, u: Array) -> Array:
-        """Return values; see Distribution."""
+        """Return the values with cumulative probabilities u; see Distribution."""
         from scipy.special import ndtri
 
         levels = np.clip(_levels(u), _ABOVE_0, 1.0 - _BELOW_1)
@@ -345,13 +345,13 @@ def sobol_directions(count: int, bits: int, seed: int) -> NDArray[np.int64]:
     from scipy.stats import qmc
 
     sequence = qmc.Sobol(count, **_generator(seed))
-    rows = [sequence.random(1)[0]]
+    points = [sequence.random(1)[0]]
     for bit in range(bits):
         skipped = 2**bit - sequence.num_generated
         if skipped:  # SciPy fails if nothing is skipped.
             sequence.fast_forward(skipped)
-        rows.append(sequence.random(1)[0])
-    integers = np.round(np.array(rows) * 2.0**_BITS).astype(np.int64)
+        points.append(sequence.random(1)[0])
+    integers = np.round(np.array(points) * 2.0**_BITS).astype(np.int64)
     integers[1:] ^= integers[0]
     return integers
 

@@ -150,18 +150,18 @@ class SweepJob:
         together = self._members_of(_MOST_BYTES if device is None else _MOST_BYTES_OF_DEVICES)
         starts = range(0, last - first, together)
         for start in starts:
-            rows = values[start : start + together]
+            points_together = values[start : start + together]
             with warnings.catch_warnings():
                 if first + start:  # The first points have shown the warnings about open loops.
                     warnings.simplefilter("ignore", LoopWarning)
-                many, rejected = self._simulate(rows, threads, device)
+                many, rejected = self._simulate(points_together, threads, device)
             for failure in many.failures:
-                row = start + failure.member
-                status[row] = REJECTED if failure.member in rejected else FAILED
-                reasons[first + row] = failure.reason
-            blocks.append(None if len(rejected) == len(rows) else self._outputs_of(many))
+                place = start + failure.member
+                status[place] = REJECTED if failure.member in rejected else FAILED
+                reasons[first + place] = failure.reason
+            blocks.append(None if len(rejected) == len(points_together) else self._outputs_of(many))
             if progress is not None:
-                progress((start + len(rows)) / (last - first))
+                progress((start + len(points_together)) / (last - first))
         outputs = _joined(blocks, [len(values[s : s + together]) for s in starts])
         return Block(index, values, outputs, status, reasons, device or cpu_target().name)
 
