@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -42,28 +42,6 @@ if TYPE_CHECKING:
 
 
 Report = Callable[[float], None]
-
-
-def compute_locally(
-    job: SweepJob,
-    blocks: Iterable[int],
-    threads: int | None,
-    device: str | None,
-    report: Callable[[int, float], None],
-) -> Iterator[Block]:
-    """Compute blocks one after another, each on threads and in SIMD lanes.
-
-    Args:
-        job: The sweep.
-        blocks: Indices of the blocks.
-        threads: Number of threads; as many as processors if None.
-        device: "cuda" for CUDA devices, None for the CPU.
-        report: Called with the index of a block and its completed fraction.
-    Yields:
-        The results.
-    """
-    for index in blocks:
-        yield job.compute(index, threads, device, partial(report, index))
 
 
 class PointsDone:
@@ -293,8 +271,9 @@ def _blocks(
     device: str | None,
     done: PointsDone,
 ) -> Iterator[Block]:
+    """Compute blocks on threads and in SIMD lanes, or on the workers of a scheduler."""
     if scheduler is None:
-        return compute_locally(job, pending, threads, device, done.inside)
+        return (job.compute(k, threads, device, partial(done.inside, k)) for k in pending)
     optional_package(
         "distributed", f"scheduler: this needs dask.distributed: {install_command('dask')}"
     )
