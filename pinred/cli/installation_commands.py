@@ -260,7 +260,15 @@ def _calls(system: System) -> Iterator[tuple[str, Callable[[], Any]]]:
     from ..simulation.simulate_many import simulate_many
 
     two_shapes: Any = np.tile(system.space.neutral, (2, 1))
-    cotangent = {"pose": np.ones(system.group.dim)}
+    uses: dict[str, Callable[[Any], Any]] = {
+        "flow": lambda end: end(),
+        "flow.jacobian": lambda end: end.jacobian(),
+        "flow.vjp": lambda end: end.vjp({"pose": np.ones(system.group.dim)}),
+    }
+
+    def use_flow(use: Callable[[Any], Any], scene: Scene) -> Any:
+        return use(flow(scene))
+
     scenes = {
         "": Scene(system=system, seed=0, duration=_DURATION),
         " at zero momentum": Scene(system=system, momentum=0, duration=_DURATION),
@@ -274,7 +282,6 @@ def _calls(system: System) -> Iterator[tuple[str, Callable[[], Any]]]:
     yield "simulate_many at zero momentum", still
     for words, scene in scenes.items():
         yield f"simulate{words}", partial(simulate, scene)
-        yield f"flow{words}", lambda scene=scene: flow(scene)()
-        yield f"flow.jacobian{words}", lambda scene=scene: flow(scene).jacobian()
-        yield f"flow.vjp{words}", lambda scene=scene: flow(scene).vjp(cotangent)
+        for name, use in uses.items():
+            yield f"{name}{words}", partial(use_flow, use, scene)
     yield "Reduction.grid", partial(Reduction(system).grid, two_shapes)
