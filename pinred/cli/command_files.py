@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import argparse
+from collections.abc import Callable
+from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
+from typing import TYPE_CHECKING
+from typing import Any
 from ..common.errors import InputError
+from ..common.files import FIGURES
+from ..common.files import check_path
+from ..common.files import write_atomic
+from ..common.files import write_table
+from ..common.waiting import ProgressBar
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,10 +34,26 @@ _NO_DATE: dict[str, dict[str, Any]] = {  # Without a date, equal figures produce
 }
 
 
+def out_path(
+    arguments: argparse.Namespace, suffixes: Sequence[str], folders: Sequence[str] = ()
+) -> Path | None:
+    """Check the option --out before the work starts.
+
+    Args:
+        arguments: Parsed arguments of the command.
+        suffixes: Allowed suffixes.
+        folders: Suffixes of formats that are folders.
+    Returns:
+        The path, or None without the option.
+    Raises:
+        InputError: No such file can be written; see `check_path`.
+        OutputError: The folder or an existing file is read-only.
+    """
+    return None if arguments.out is None else check_path(arguments.out, suffixes, folders)
+
+
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure to a .png, .pdf or .svg file; raise OutputError if that fails."""
-    from ..common.files import write_atomic
-
     suffix = path.suffix
     write_atomic(
         path, lambda file: figure.savefig(file, format=suffix[1:], metadata=_NO_DATE[suffix])
@@ -53,14 +77,12 @@ def write_series(path: Path, names: Sequence[str], arrays: Mapping[str, Any]) ->
     """
     import numpy as np
 
-    from ..common.files import write_atomic, write_table
-
     if path.suffix == ".npz":
         write_atomic(path, lambda file: np.savez(file, **arrays))
         return
     t, values, *_ = arrays.values()
-    rows = np.column_stack([t, values]).tolist()
-    write_table(path, names, (dict(zip(names, row, strict=True)) for row in rows))
+    records = np.column_stack([t, values]).tolist()
+    write_table(path, names, (dict(zip(names, cells, strict=True)) for cells in records))
 
 
 def print_report(report: Report | ChainReport) -> int:
@@ -89,8 +111,6 @@ def write_plan(
     Returns:
         0, or the exit code of the comparison.
     """
-    from ..common.files import FIGURES
-
     if path is not None:
         if path.suffix in FIGURES:
             from ..views.plots.by_kind import plot
@@ -153,7 +173,6 @@ def show_motion(
 
         print(f"written to {out} ({save_rrd(motion, out, view) / 1e6:.2f} MB)")
     else:
-        from ..common.waiting import ProgressBar
         from ..views.playback.film import save_film
 
         with ProgressBar("film   ", what="renders a film") as bar:

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
+from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
-
+from typing import TYPE_CHECKING
+from typing import Any
+from typing import TypeVar
 from ..common.errors import InputError
 from ..common.names import quoted
 
@@ -259,9 +262,9 @@ def add_options(sub: argparse.ArgumentParser, keys: Mapping[str, Key]) -> None:
             text = key.description
             sub.add_argument(key.command, dest=name, action="store_const", const=True, help=text)
         elif key.command:
-            kind = {Number: float, Whole: int}.get(type(key.node), str)
+            value_type = {Number: float, Whole: int}.get(type(key.node), str)
             action = "append" if isinstance(key.node, ByName) or name == "stops" else "store"
-            add(key.command, key.description, kind, dest=name, action=action)
+            add(key.command, key.description, value_type, dest=name, action=action)
 
 
 def options_in(arguments: argparse.Namespace, keys: Mapping[str, Key]) -> dict[str, Any]:
@@ -445,7 +448,11 @@ def _method(arguments: argparse.Namespace) -> str:
         return name
     if name in ("auto", *METHODS):
         methods_with = {
-            key: [m for m, kind in METHODS.items() if key in [o.name for o in options_of(kind)]]
+            key: [
+                m
+                for m, method_class in METHODS.items()
+                if key in [o.name for o in options_of(method_class)]
+            ]
             for key in stated
         }
         if name not in methods_with.get("step", [name]):

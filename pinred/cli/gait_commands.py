@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
+from typing import TYPE_CHECKING
+from typing import Any
 from ..common.errors import InputError
-from .command_files import describe_file, save_figure, write_plan, write_series
-from .command_options import (
-    ROBOT,
-    add_options,
-    add_parameters,
-    add_robot,
-    add_source,
-    connection_keys,
-    option_adder,
-    options_in,
-    refuse_of_robots,
-    source_of,
-    system_of,
-)
+from .command_files import describe_file
+from .command_files import save_figure
+from .command_files import write_plan
+from .command_files import write_series
+from .command_options import ROBOT
+from .command_options import add_options
+from .command_options import add_parameters
+from .command_options import add_robot
+from .command_options import add_source
+from .command_options import connection_keys
+from .command_options import option_adder
+from .command_options import options_in
+from .command_options import refuse_of_robots
+from .command_options import source_of
+from .command_options import system_of
+from ..common.files import DATA
+from ..common.files import FIGURES
+from .command_files import out_path
 
 if TYPE_CHECKING:
     from ..analysis.phases.gait import Gait
@@ -44,10 +48,9 @@ def add_phase_arguments(sub: argparse.ArgumentParser) -> None:
 def run_phase(arguments: argparse.Namespace) -> int:
     """Print the phase.  Returns 0."""
     from ..analysis.phases.phase import phase
-    from ..common.files import DATA, FIGURES, check_path
     from ..planning.gait_file import GAIT_FILE
 
-    path = None if arguments.out is None else check_path(arguments.out, (*FIGURES, *DATA))
+    path = out_path(arguments, (*FIGURES, *DATA))
     source = source_of(arguments, gait=True)
     stated = options_in(arguments, {"momentum": GAIT_FILE.keys["momentum"]})
     momentum = stated.get("momentum", source.momentum)
@@ -62,7 +65,6 @@ def run_phase(arguments: argparse.Namespace) -> int:
 
 
 def _write_cycles(result: Phase, path: Path, cycles: int) -> None:
-    from ..common.files import FIGURES
 
     if path.suffix in FIGURES:
         from ..views.plots.by_kind import plot
@@ -93,10 +95,9 @@ def add_gait_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_gait(arguments: argparse.Namespace) -> int:
     """Print the best loop and its certificate.  Returns 0, or the verdict of --compare."""
-    from ..common.files import DATA, FIGURES, check_path
     from ..planning.optimisation.optimise import optimise_gait
 
-    path = None if arguments.out is None else check_path(arguments.out, (*DATA, *FIGURES))
+    path = out_path(arguments, (*DATA, *FIGURES))
     arguments.gait = arguments.circle = None
     source = source_of(arguments, gait=False)
     best = optimise_gait(
@@ -147,10 +148,9 @@ def add_reorient_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_reorient(arguments: argparse.Namespace) -> int:
     """Print the plan.  Returns 0, or the verdict of --compare."""
-    from ..common.files import DATA, FIGURES, check_path
     from ..planning.reorientation.reorient import reorient
 
-    path = None if arguments.out is None else check_path(arguments.out, (*DATA, *FIGURES))
+    path = out_path(arguments, (*DATA, *FIGURES))
     system, options = _stated(arguments)
     if "target" not in options:
         raise InputError("pass --target with comma-separated numbers, or a gait file with a target")

@@ -1,4 +1,4 @@
-"""Commands about the installation: doctor and cache."""
+"""Commands about the installation: doctor and cache, which also compiles ahead of use."""
 
 from __future__ import annotations
 
@@ -6,14 +6,19 @@ import argparse
 import os
 import platform
 import re
+import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
 from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ..common.errors import PinredError
-from ..common.optional_packages import install_command
-from ..common.version import __version__
+from ..common.errors import InputError, PinredError
+from ..common.installation import __version__, install_command
+
+if TYPE_CHECKING:
+    from ..system.system import System
 
 _GROUPS = ("all", "dev")  # extras that only collect others, or serve development
 _REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+)(\[[^]]*\])?([^;]*)(?:;\s*extra == ['\"](.*)['\"])?")
@@ -139,10 +144,10 @@ def _guard(subject: str, check: Callable[[], str]) -> Finding:
 
 
 def _check_cpu() -> str:
-    from ..common.cpu_target import VARIABLE, cpu_target
+    from ..common.machine_code import CPU_VARIABLE, cpu_target
 
     name = cpu_target().name
-    return f"{name}, set by {VARIABLE}" if os.environ.get(VARIABLE) else name
+    return f"{name}, set by {CPU_VARIABLE}" if os.environ.get(CPU_VARIABLE) else name
 
 
 def _check_machine_code() -> str:
@@ -211,9 +216,7 @@ def run_cache(arguments: argparse.Namespace) -> int:
 
 def _warm(words: list[str]) -> None:
     """Compile the code of a robot, and print what was prepared."""
-    from ..common.errors import InputError
     from ..system.load import load
-    from .warm_caches import warm_caches
 
     if words[0] != "warm" or len(words) != 2:
         raise InputError(f"expected `pinred cache warm ROBOT`, got {' '.join(words)!r}")
@@ -223,3 +226,62 @@ def _warm(words: list[str]) -> None:
         print(f"{seconds:7.2f} s  {call}", flush=True)
         total += seconds
     print(f"{total:7.2f} s in all; further processes find the code of '{system.name}' in the cache")
+
+
+_DURATION = 1e-3  # of all simulations [s]
+
+
+def warm_caches(system: System) -> Iterator[tuple[str, float]]:
+    """Compile and cache the code of simulations, batches, flows and fields of a robot.
+
+    Scenes with forces, prescribed joints or variable parameters have code of their own.
+
+    Args:
+        system: The robot.
+    Yields:
+        A call that is prepared, and the time that it took [s].
+    """
+    for name, call in _calls(system):
+        began = time.perf_counter()
+        with suppress(InputError):  # a method or a derivative that this robot does not have
+            call()
+            yield name, time.perf_counter() - began
+
+
+def _calls(system: System) -> Iterator[tuple[str, Callable[[], Any]]]:
+    """Yield the calls that compile code, and their names."""
+    import numpy as np
+
+    from ..analysis.full_reduction import Reduction
+    from ..integrators.methods import METHODS
+    from ..scene.scene import Scene
+    from ..simulation.flow_map.flow import flow
+    from ..simulation.simulate import simulate
+    from ..simulation.simulate_many import simulate_many
+
+    two_shapes: Any = np.tile(system.space.neutral, (2, 1))
+    uses: dict[str, Callable[[Any], Any]] = {
+        "flow": lambda end: end(),
+        "flow.jacobian": lambda end: end.jacobian(),
+        "flow.vjp": lambda end: end.vjp({"pose": np.ones(system.group.dim)}),
+    }
+
+    def use_flow(use: Callable[[Any], Any], scene: Scene) -> Any:
+        return use(flow(scene))
+
+    scenes = {
+        "": Scene(system=system, seed=0, duration=_DURATION),
+        " at zero momentum": Scene(system=system, momentum=0, duration=_DURATION),
+    }
+    methods: dict[str, Any] = dict(METHODS)
+    for kind, method in methods.items():
+        integrator = kind if method.adaptive else method(_DURATION)
+        yield f"simulate(method={kind})", partial(simulate, scenes[""], method=integrator)
+    yield "simulate_many", partial(simulate_many, system, seeds=[0, 1], duration=_DURATION)
+    still = partial(simulate_many, system, x0=two_shapes, momentum=0, duration=_DURATION)
+    yield "simulate_many at zero momentum", still
+    for words, scene in scenes.items():
+        yield f"simulate{words}", partial(simulate, scene)
+        for name, use in uses.items():
+            yield f"{name}{words}", partial(use_flow, use, scene)
+    yield "Reduction.grid", partial(Reduction(system).grid, two_shapes)

@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..common.errors import InputError, OutputError
+from ..common.files import write_table
 from ..common.waiting import Wait
+from .command_files import out_path
 from .command_options import add_options, option_adder
 
 if TYPE_CHECKING:
@@ -109,7 +111,6 @@ def _write(folder: Path | None, name: str, records: Sequence[dict[str, object]])
     """Write records with equal keys to FOLDER/NAME.csv, if there is a folder."""
     if folder is None:
         return
-    from ..common.files import write_table
 
     path = folder / f"{name}.csv"
     write_table(path, list(records[0]), records)
@@ -243,10 +244,9 @@ def add_corpus_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_corpus(arguments: argparse.Namespace) -> int:
     """Process all descriptions and print a table.  Returns 1 for a failed comparison, else 0."""
-    from ..common.files import check_path
     from ..laboratory.corpus.run_corpus import corpus
 
-    path = None if arguments.out is None else check_path(arguments.out, (".csv",))
+    path = out_path(arguments, (".csv",))
     result = corpus(
         arguments.folders,
         robots=arguments.robots,

@@ -28,10 +28,10 @@ from ..common.errors import (
     SceneWarning,
     shorten_message,
 )
+from ..common.installation import __version__
 from ..common.names import most_similar, plain, quoted
-from ..common.version import __version__
+from ..common.waiting import INTERRUPTED, report_interrupt
 from .command_options import FORMER
-from .interrupt import CODE, say
 
 _SHOWN = (AccuracyWarning, ModelWarning, LeftOutWarning, RejectedWarning, SceneWarning)
 _LONGEST = 2000  # largest number of characters of a message
@@ -64,10 +64,9 @@ COMMANDS = {  # {command: description}
 }
 _GROUPS = {  # {module without "_commands": its commands}
     "robot": ("inspect", "robots", "equilibria"),
-    "motion": ("compare", "simulate", "run", "sweep"),
+    "motion": ("compare", "simulate", "run", "sweep", "capture", "release", "land"),
     "view": ("plot", "play", "feel", "field"),
     "gait": ("phase", "gait", "reorient"),
-    "impact": ("capture", "release", "land"),
     "installation": ("cache", "doctor"),
     "laboratory": ("published", "stress", "corpus", "bench"),
 }
@@ -112,8 +111,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     except MemoryError:
         return _print_error("not enough memory for this many numbers", 2)
     except KeyboardInterrupt:
-        say()
-        return CODE
+        report_interrupt()
+        return INTERRUPTED
     except BrokenPipeError:  # The reading process has ended, as in `pinred robots | head`.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

@@ -1,7 +1,6 @@
-"""Commands that simulate: simulate, run, compare and sweep.
+"""Commands that simulate: simulate, run, compare, sweep, and capture, release and land.
 
-Their options are described in scene/scene_options.py and scene/scene_options.py;
-cli/command_options.py makes arguments of them.
+scene/scene_options.py describes their options; cli/command_options.py makes arguments of them.
 """
 
 from __future__ import annotations
@@ -11,17 +10,20 @@ import json
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
-from ..common.names import listed, quoted
-from .command_files import describe_file, print_report
+from ..common.files import DATA, check_path
+from ..common.names import listed
+from .command_files import check_robot, describe_file, motion_in, out_path, print_report
 from .command_options import (
     add_options,
     add_parameters,
     add_repeated,
     add_robot,
     add_scene,
+    assigned_in,
     option_adder,
     options_in,
     parameters_in,
@@ -31,10 +33,15 @@ from .command_options import (
 if TYPE_CHECKING:
     from ..scene.scene import Scene
     from ..scene.toml.reader import SceneFile
+    from ..scene.toml.schema import Key
+    from ..simulation.contact.capture import Capture, Release
     from ..simulation.contact.chain import Chain
+    from ..simulation.contact.landing import Landing
     from ..simulation.plan import Plan
     from ..simulation.trajectory import Trajectory
     from ..sweeps.sweep_result import SweepResult
+    from ..system.system import System
+    from ..views.motion_source import MotionSource
 
 
 def add_compare_arguments(sub: argparse.ArgumentParser) -> None:
@@ -92,7 +99,6 @@ def run_run(arguments: argparse.Namespace) -> int:
         return 0
     if arguments.scene is None:
         raise InputError("run needs a scene: the name of a TOML file; see `pinred run --help`")
-    from ..common.files import check_path
     from ..scene.initial_state import large_angles
     from ..scene.toml.reader import read_scene_file
     from ..simulation.explain import explain
@@ -121,7 +127,7 @@ def run_run(arguments: argparse.Namespace) -> int:
     if arguments.validate:
         print(f"ok: {_title(scene)}")
         return 0
-    path = None if arguments.out is None else check_path(arguments.out, SUFFIXES, folders=FOLDERS)
+    path = out_path(arguments, SUFFIXES, FOLDERS)
     traj = simulate(scene, engine=engine, check=check, checkpoint=checkpoint, progress=True)
     print(summary_of_run(traj))
     if path is not None:
@@ -132,7 +138,6 @@ def run_run(arguments: argparse.Namespace) -> int:
 
 def _run_phases(arguments: argparse.Namespace, file: SceneFile) -> int:
     """Run a file with several phases.  Returns 0, or 1 or 3 if a comparison does not pass."""
-    from ..common.files import check_path
     from ..simulation.contact.chain_file import run_phases
     from ..simulation.explain import explain
     from ..simulation.over_time import FOLDERS, SUFFIXES
@@ -148,7 +153,7 @@ def _run_phases(arguments: argparse.Namespace, file: SceneFile) -> int:
         robots = " and ".join(scene.system.name for scene in scenes)
         print(f"ok: {robots}, {len(file.phases) + 1} phases; later robots are known when they run")
         return 0
-    path = None if arguments.out is None else check_path(arguments.out, SUFFIXES, folders=FOLDERS)
+    path = out_path(arguments, SUFFIXES, FOLDERS)
     chain = run_phases(file, engine=arguments.engine, check=bool(arguments.check), progress=True)
     print(summary_of_chain(chain, explain if arguments.explain else None))
     if path is not None:
@@ -259,7 +264,6 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     """Simulate and write.  Returns 0."""
     import numpy as np
 
-    from ..common.files import check_path
     from ..simulation.over_time import FOLDERS, SUFFIXES
     from ..simulation.simulate import simulate
 
@@ -324,7 +328,7 @@ def run_sweep(arguments: argparse.Namespace) -> int:
     single = {name: key for name, key in SWEEP_OPTIONS.items() if name not in ("vary", "outputs")}
     stated = options_in(arguments, single)
     if arguments.vary:
-        stated["vary"] = {**file.sweep.get("vary", {}), **_assigned(arguments.vary)}
+        stated["vary"] = {**file.sweep.get("vary", {}), **_laws(arguments.vary)}
     if arguments.outputs:
         stated["outputs"] = _outputs(arguments.outputs)
     options: dict[str, Any] = {**file.sweep, **stated}
@@ -343,17 +347,17 @@ def run_sweep(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _assigned(entries: Sequence[str]) -> dict[str, str]:
+def _laws(entries: Sequence[str]) -> dict[str, str]:
     """Parse texts NAME=LAW.  Raises InputError."""
-    values = {}
-    for entry in entries:
-        name, sign, text = entry.partition("=")
-        if not (sign and name.strip() and text.strip()):
-            raise InputError(
-                f"--vary takes NAME=LAW, such as 'front.mass=Uniform(0.5, 2)', got {quoted(entry)}"
-            )
-        values[name.strip()] = text.strip()
-    return values
+
+    def read(text: str) -> str:
+        if not text.strip():
+            raise ValueError
+        return text.strip()
+
+    usage = "NAME=LAW, such as 'front.mass=Uniform(0.5, 2)'"
+    laws = assigned_in(entries, "vary", read, usage, noun="")
+    return {name.strip(): law for name, law in laws.items()}
 
 
 def _outputs(entries: Sequence[str]) -> dict[str, str]:
@@ -383,3 +387,155 @@ def summary_of_sweep(result: SweepResult) -> str:
         percents = ", ".join(f"{100 * quantile:.0f}" for quantile in _QUANTILES)
         lines.append(f"  {name}{f' [{unit}]' if unit else ''}: {shown} at {percents} %")
     return "\n".join(lines)
+
+
+_MOTION = "scene file (.toml), whose end counts, or motion traj.npz, whose last state counts"
+_AFTER = (
+    "duration", "prescribed", "hold", "springs", "passive", "friction", "rtol", "atol", "method",
+)  # fmt: skip
+
+
+def add_capture_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    sub.add_argument("first", metavar="FIRST", help=f"the robot that captures: {_MOTION}")
+    sub.add_argument("second", metavar="SECOND", help="the other robot, at the same time")
+    add = option_adder(sub)
+    add("--at FRAME", "link or frame of the first", required=True)
+    add("--onto FRAME", "link or frame of the second", required=True)
+    add("--tolerance T", "largest distance [m] and angle [rad] of the frames", float, 1e-6)
+    add("--prefix P", "text before the names of the second")
+    _add_after(sub)
+
+
+def run_capture(arguments: argparse.Namespace) -> int:
+    """Print the capture.  Returns 0, or the verdict of --compare."""
+    from ..simulation.contact.capture import capture
+
+    _check_after(arguments)
+    motions = [_motion_before(path) for path in (arguments.first, arguments.second)]
+    result = capture(
+        motions[0], motions[1], at=arguments.at, onto=arguments.onto,
+        tolerance=arguments.tolerance, prefix=arguments.prefix,
+    )  # fmt: skip
+    return _follow(arguments, motions, result, [(result.system, result.start)])
+
+
+def add_release_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    sub.add_argument("motion", metavar="MOTION", help=f"the robot: {_MOTION}")
+    add = option_adder(sub)
+    add("--link LINK", "link behind the joint that opens, or the joint", required=True)
+    add("--root LINK", "link of the released part that its pose describes", default="")
+    _add_after(sub)
+
+
+def run_release(arguments: argparse.Namespace) -> int:
+    """Print the release.  Returns 0, or the verdict of --compare."""
+    from ..simulation.contact.capture import release
+
+    _check_after(arguments)
+    motion = _motion_before(arguments.motion)
+    result = release(motion, arguments.link, root=arguments.root)
+    systems = (result.carrier, result.released)
+    return _follow(arguments, [motion], result, [(state.system, state.start) for state in systems])
+
+
+def add_land_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    sub.add_argument("motion", metavar="MOTION", help=f"the robot in flight: {_MOTION}")
+    add = option_adder(sub)
+    add("--frame F[,F2]", "link or frame that stops, or several at once", required=True)
+    add("--contact C", "point: its origin stops; flat: it stops turning, too", str, "point")
+    _add_after(sub)
+
+
+def run_land(arguments: argparse.Namespace) -> int:
+    """Print the landing.  Returns 0, or the verdict of --compare."""
+    from ..simulation.contact.landing import land
+
+    _check_after(arguments)
+    motion = _motion_before(arguments.motion)
+    landing = land(motion, arguments.frame.split(","), contact=arguments.contact)
+    stance = landing.stance
+    if stance is None and arguments.duration is not None:
+        raise InputError(f"--duration: {landing.why_no_stance}")
+    states = [] if stance is None else [(stance.system, stance.start)]
+    return _follow(arguments, [motion], landing, states)
+
+
+def _add_after(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the motion after the impact."""
+    add_options(sub, _keys())
+    add = option_adder(sub)
+    add("--compare", "compare all motions with full ABA, and the impact with full mass matrices")
+    add("--out FILE", "write the motions and the impact as one motion (.npz, .csv)")
+
+
+def _keys() -> dict[str, Key]:
+    from ..scene.scene_options import SCENE_OPTIONS
+
+    return {name: SCENE_OPTIONS[name] for name in _AFTER}
+
+
+def _check_after(arguments: argparse.Namespace) -> None:
+    """Check the options before a long simulation.  Raises InputError."""
+    options = options_in(arguments, _keys())
+    out_path(arguments, DATA)
+    if "duration" not in options and options:
+        raise InputError("pass --duration T to simulate the motion after the impact")
+
+
+def _motion_before(path: str) -> MotionSource:
+    """Return the motion in a scene file or recording."""
+    check_robot(path, None)
+    if Path(path).suffix not in (".toml", ".npz"):
+        raise InputError(f"expected a scene file (.toml) or a motion (.npz), got '{path}'")
+    return motion_in(path, None)
+
+
+def _follow(
+    arguments: argparse.Namespace,
+    before: Sequence[MotionSource],
+    impact: Capture | Release | Landing,
+    states: Sequence[tuple[System, dict[str, Any]]],
+) -> int:
+    """Print an impact, simulate what follows, if requested, and write and compare all of it.
+
+    Args:
+        arguments: Parsed arguments of the command.
+        before: Motions that end at the impact.
+        impact: The impact.
+        states: Systems after it, with the options that start them.
+    Returns:
+        0, or the exit code of the comparison.
+    Raises:
+        InputError: The motions before it are recordings, but more than the impact is requested.
+    """
+    from ..simulation.contact.chain import chain
+    from ..simulation.simulate import simulate
+    from ..simulation.trajectory import Trajectory
+
+    print(impact)
+    options = options_in(arguments, _keys())
+    if "duration" not in options and arguments.out is None and not arguments.compare:
+        return 0
+    earlier = [motion for motion in before if isinstance(motion, Trajectory)]
+    if len(earlier) < len(before):
+        raise InputError(
+            "--duration, --out and --compare need scene files (.toml) of one motion, not "
+            "recordings; state further phases in the file, as tables [[phases]] (docs/scenes.md)"
+        )
+    after = [
+        simulate(system, **start, **options, progress=True)
+        for system, start in (states if "duration" in options else ())
+    ]
+    mission = chain(earlier, impact, *([after] if after else []))
+    if arguments.out is not None:
+        path = Path(arguments.out)
+        mission.save(path)
+        print(describe_file(path))
+    if not arguments.compare:
+        return 0
+    from ..judge.compare import compare
+
+    return print_report(compare(mission, progress=True))

@@ -6,19 +6,22 @@ import argparse
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from ..common.errors import InputError, PinredError
-from .command_files import describe_file, save_figure, show_motion
-from .command_options import (
-    add_options,
-    add_robot,
-    by_joint_in,
-    numbers_in,
-    option_adder,
-    options_in,
-    system_of,
-)
+from typing import TYPE_CHECKING
+from typing import Any
+from ..common.errors import InputError
+from ..common.errors import PinredError
+from .command_files import describe_file
+from .command_files import save_figure
+from .command_files import show_motion
+from .command_options import add_options
+from .command_options import add_robot
+from .command_options import by_joint_in
+from .command_options import numbers_in
+from .command_options import option_adder
+from .command_options import options_in
+from .command_options import system_of
+from ..common.files import FIGURES
+from .command_files import out_path
 
 if TYPE_CHECKING:
     from ..analysis.equilibria.relative_equilibrium import Equilibria
@@ -141,9 +144,8 @@ def _branches(
 ) -> int:
     """Follow branches between two momenta, print them, and draw a diagram.  Returns 0."""
     from ..analysis.equilibria.branches import branches
-    from ..common.files import FIGURES, check_path
 
-    path = None if arguments.out is None else check_path(Path(arguments.out), FIGURES)
+    path = out_path(arguments, FIGURES)
     if path is not None:
         from ..views.plots import branches as draw  # Fail early if matplotlib is missing.
     result = branches(system, momentum=ends, **options)
@@ -175,8 +177,6 @@ def _play(arguments: argparse.Namespace, equilibria: Equilibria) -> int:
 
 def _check(arguments: argparse.Namespace, *, is_range: bool) -> None:
     """Raise InputError for options without effect; `is_range`: the command follows branches."""
-    from ..common.files import check_path
-
     if is_range and arguments.limit is not None:
         raise InputError("--limit is for one momentum, not for a range")
     if is_range and arguments.play is not None:
@@ -187,8 +187,8 @@ def _check(arguments: argparse.Namespace, *, is_range: bool) -> None:
                 raise InputError(f"--{name} requires --play K")
         if arguments.out is not None and not is_range:
             raise InputError("--out requires a range, --momentum LOW,HIGH, or --play K")
-    elif arguments.out is not None:
-        check_path(Path(arguments.out), _PLAYED)
+    else:
+        out_path(arguments, _PLAYED)
     if arguments.joint is not None and not (is_range and arguments.out is not None):
         raise InputError("--joint requires the diagram that --momentum LOW,HIGH --out FILE draws")
 

@@ -11,25 +11,29 @@ import filecmp
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+import numpy as np
+from collections.abc import Callable
+from collections.abc import Iterator
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from shutil import copytree, rmtree
+from shutil import copytree
+from shutil import rmtree
 from tempfile import TemporaryDirectory
 from typing import Any
-
-import numpy as np
-
 from ..analysis.phases.gait import Gait
 from ..analysis.phases.phase import phase
 from ..analysis.stability.linearised_flow import linearised_flow
 from ..common.errors import InputError
 from ..forces.kinds import Torque
 from ..forces.signals.signal import Hold
-from ..integrators.methods import DOP853, METHODS, Explicit, Tsit5
+from ..integrators.methods import DOP853
+from ..integrators.methods import METHODS
+from ..integrators.methods import Explicit
+from ..integrators.methods import Tsit5
 from ..integrators.stepping import shipped_code
-from ..integrators.stepping.call_wrapper import ArgumentType, Bitcode
+from ..integrators.stepping.call_wrapper import ArgumentType
+from ..integrators.stepping.call_wrapper import Bitcode
 from ..judge.compare import compare
 from ..kernels.device.device_code import loop_arguments
 from ..kernels.device.few_rows import stepper_with_few_rows
@@ -39,9 +43,10 @@ from ..simulation.simulate_many import simulate_many
 from ..system.load import load
 from ..system.system import System
 from ..views.playback.film import SIZE
-from ..views.playback.film_frames import Frames
-from ..views.playback.view_options import FILM_FPS, View
-from .warm_caches import warm_caches
+from ..views.playback.view_options import FILM_FPS
+from ..views.playback.view_options import View
+from ..views.playback.film import Frames
+from .installation_commands import warm_caches
 
 # The compiler of all shipped bitcode.  Newer versions of LLVM read bitcode of this one, the oldest
 # that pinred supports, but not conversely.
@@ -131,16 +136,16 @@ def compile_missing(folder: Path) -> None:
 
 def _calls(system: System) -> Iterator[Callable[[], Any]]:
     """Yield simulations, batches and derivatives with all methods."""
-    for name, kind in METHODS.items():
-        method = name if kind.adaptive else f"{name}(0.01)"
+    for name, method_class in METHODS.items():
+        method = name if method_class.adaptive else f"{name}(0.01)"
         yield partial(_between, system, method)
         yield partial(_in_parts, system, method)
         yield partial(simulate_many, system, seeds=range(8), times=[_DURATION], method=method)
         yield partial(_derivatives, system, method)
         yield partial(_without_variables, method)
     yield lambda: compare(simulate(system, seed=1, duration=_DURATION))
-    for kind in (DOP853, Tsit5):
-        yield partial(stepper_with_few_rows(kind()).loops.advance, *loop_arguments())
+    for method_class in (DOP853, Tsit5):
+        yield partial(stepper_with_few_rows(method_class()).loops.advance, *loop_arguments())
     yield partial(_uncommon, system)
     yield partial(_film, system)
     if find_spec("jax") is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
-from ..common.files import FIGURES
+from ..common.files import FIGURES, check_path, write_atomic
 from ..views.plots import KINDS, options_of
 from ..views.plots.by_kind import DEFAULT_KIND, draw
 from .command_files import check_robot, describe_file, motion_in, save_figure, show_motion
@@ -102,7 +102,6 @@ def run_plot(arguments: argparse.Namespace) -> int:
 
 
 def _paths(out: str, kinds: list[str]) -> dict[str, Path]:
-    from ..common.files import check_path
 
     path = Path(out)
     if len(kinds) == 1:
@@ -207,7 +206,6 @@ def run_play(arguments: argparse.Namespace) -> int:
         sphere=arguments.sphere, meshes=meshes,
     )  # fmt: skip
     if path is not None:
-        from ..common.files import check_path
         from ..views.playback.film import SUFFIXES
 
         check_path(path, (*PAGES, *SUFFIXES))  # Check the path before a long simulation.
@@ -270,8 +268,6 @@ def add_feel_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_feel(arguments: argparse.Namespace) -> int:
     """Open or write the page.  Returns 0."""
-    from ..common.errors import InputError
-    from ..common.files import check_path
     from ..views.motions import feel, save_html
     from ..views.playback.server import check_port
 
@@ -310,8 +306,6 @@ def add_field_arguments(sub: argparse.ArgumentParser) -> None:
 def run_field(arguments: argparse.Namespace) -> int:
     """Draw or write the field.  Returns 0."""
     import numpy as np
-
-    from ..common.files import FIGURES, check_path, write_atomic
 
     path = check_path(arguments.out, (*FIGURES, ".npz"))
     source = source_of(arguments, gait=False)
@@ -357,7 +351,7 @@ def _compute_grid(
 
     from ..analysis.connections.connection import rest_of
     from ..common.arrays import vector
-    from ..views.plots.motion_labels import labels_of_connection
+    from ..views.motion_source import labels_of_connection
 
     if samples < 2:
         raise InputError(f"--samples must be at least 2, got {samples}")

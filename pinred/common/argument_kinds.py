@@ -91,6 +91,17 @@ def has_fixed_entries(value: Any) -> bool:
     return not isinstance(value, (list, tuple, int))
 
 
+class Default(float):
+    """A default value of an option.  Its type marks it as a default; it behaves as a float."""
+
+    __slots__ = ()
+
+
+def is_given(value: Any) -> bool:
+    """Return whether the caller set an option, that is, its value is not a Default."""
+    return not isinstance(value, Default)
+
+
 T = TypeVar("T")
 _SOURCE = "<checks"  # start of the file name of generated code
 
@@ -242,7 +253,7 @@ class _Checks:
         # A marker, such as that of a default factory, is admitted independent of the annotation.
         markers = [type(defaults[name].default) for name in self.names]
         self.types: list[set[Any]] = [
-            {kind} if kind.__name__.startswith("_") else set() for kind in markers
+            {marker} if marker.__name__.startswith("_") else set() for marker in markers
         ]
         # An array has no truth value, so the type is compared first.
         empty = [type(defaults[n].default) is tuple and not defaults[n].default for n in self.names]
@@ -305,7 +316,7 @@ class _ByName(type):
         return _ByName(name, (), {})
 
     def __instancecheck__(cls, value: object) -> bool:
-        return any(kind.__name__ == cls.__name__ for kind in type(value).__mro__)
+        return any(base.__name__ == cls.__name__ for base in type(value).__mro__)
 
 
 class _Numbers:
@@ -374,19 +385,19 @@ def _description(kind: type) -> str:
 
 def _union(args: tuple[Any, ...], names: _Names) -> Kind | None:
     kinds = [kind_of(arg, names) for arg in args]
-    members = [kind for kind in kinds if kind is not None]
+    members = [member for member in kinds if member is not None]
     if len(members) < len(kinds):
         return None
 
     def settled(value: Any) -> bool:
-        return any(kind.admits(value) and kind.settled(value) for kind in members)
+        return any(member.admits(value) and member.settled(value) for member in members)
 
     return Kind(
-        " or ".join(dict.fromkeys(kind.expected for kind in members)),
-        lambda value: any(kind.admits(value) for kind in members),
+        " or ".join(dict.fromkeys(member.expected for member in members)),
+        lambda value: any(member.admits(value) for member in members),
         settled,
         ShapeError if _NUMBERS in members else InputError,
-        lambda value: next(filter(None, (kind.remedy(value) for kind in members)), ""),
+        lambda value: next(filter(None, (member.remedy(value) for member in members)), ""),
     )
 
 
@@ -429,10 +440,10 @@ def _tuple(entries: list[Kind | None]) -> Kind:
         if not (_is_sequence(value) and isinstance(value, _STORED)):
             return _is_sequence(value)
         return len(value) == len(entries) and all(
-            kind is None or kind.admits(item) for kind, item in zip(entries, value, strict=True)
+            entry is None or entry.admits(item) for entry, item in zip(entries, value, strict=True)
         )
 
-    listed = ", ".join(kind.expected if kind else "a value" for kind in entries)
+    listed = ", ".join(entry.expected if entry else "a value" for entry in entries)
     return Kind(f"({listed})", admits, _never)
 
 
@@ -443,7 +454,7 @@ def _mapping(key: Kind | None, entry: Kind | None) -> Kind:
             and (entry is None or all(map(entry.admits, value.values())))
         )
 
-    listed = " to ".join(kind.expected if kind else "values" for kind in (key, entry))
+    listed = " to ".join(side.expected if side else "values" for side in (key, entry))
     return Kind(f"a mapping from {listed}", admits, _never)
 
 
@@ -490,8 +501,8 @@ def build_from_text(
             f"unknown {what} {quoted(name)}; {nearest(name, list(kinds))}"
             f"the {what}s are {', '.join(kinds)}{others}"
         )
-    kind = kinds[name]
-    options = {entry.name: entry.default for entry in fields(kind)}
+    chosen = kinds[name]
+    options = {entry.name: entry.default for entry in fields(chosen)}
     unknown = [key for key in named if key not in options]
     if unknown or len(positional) > len(options):
         excess = f"option {quoted(unknown[0])}" if unknown else f"{len(positional)} options"
@@ -504,7 +515,7 @@ def build_from_text(
     if missing:
         options_shown = example[example.index("(") :]
         raise InputError(f"{what} {quoted(text)} needs a {missing[0]}, as in {name}{options_shown}")
-    return kind(**named)
+    return chosen(**named)
 
 
 def parse_call(

@@ -1,8 +1,8 @@
-"""Conversion of arguments to arrays of floats, and read-only arrays."""
+"""Conversion of arguments to arrays of floats, read-only arrays, and finite differences."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from math import isfinite
 from typing import Any, TypeAlias
@@ -250,3 +250,23 @@ def whole(value: object, what: str, least: int = 1, most: int | None = None) -> 
         pass
     limits = f"of at least {least}" if most is None else f"from {least} to {most}"
     raise InputError(f"{what} must be a whole number {limits}, got {brief(value)}")
+
+
+_WEIGHTS = ((1, 45.0 / 60.0), (2, -9.0 / 60.0), (3, 1.0 / 60.0))  # (offset, weight) of order 6
+
+
+def central_differences(function: Callable[[Array], Array], x: Array, step: float) -> Array:
+    """Compute the derivative of a function by central differences of order 6.
+
+    Args:
+        function: Function (m,) → (k,).
+        x: Argument, (m,).
+        step: Step of each entry of x.
+    Returns:
+        (k, m): the derivative.
+    """
+    derivative = np.zeros((len(x), function(x).size))
+    for column, unit in zip(derivative, step * np.eye(len(x)), strict=True):
+        for k, weight in _WEIGHTS:
+            column += weight / step * (function(x + k * unit) - function(x - k * unit))
+    return derivative.T

@@ -34,29 +34,28 @@ from .errors import CacheWarning, InputError, LoadError, OutputError
 from .names import brief, quoted_path
 
 
+def _mode(path: Path) -> int:
+    """Return the mode of what has a name; 0 for nothing, and for invalid names."""
+    try:
+        return path.stat().st_mode
+    except (OSError, ValueError):
+        return 0
+
+
 def is_file(path: Path) -> bool:
     """Return whether a path is a file; False for invalid file names."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
+    return stat.S_ISREG(_mode(path))
 
 
 def is_folder(path: Path) -> bool:
     """Return whether a path is a folder; False for invalid folder names."""
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
+    return stat.S_ISDIR(_mode(path))
 
 
 def is_special(path: Path) -> bool:
     """Return whether a path is a pipe, a device or a socket, whose reading may never end."""
-    try:
-        mode = path.stat().st_mode
-    except (OSError, ValueError):
-        return False
-    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+    mode = _mode(path)
+    return bool(mode) and not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
 def read_plain_file(path: Path, most: int) -> bytes | None:
@@ -173,8 +172,8 @@ def _lock(descriptor: int, *, wait: bool, shared: bool = False) -> None:
         import fcntl
     except ImportError as missing:
         raise OSError("this system has no advisory file locks") from missing
-    kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
-    fcntl.flock(descriptor, kind if wait else kind | fcntl.LOCK_NB)
+    operation = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+    fcntl.flock(descriptor, operation if wait else operation | fcntl.LOCK_NB)
 
 
 def sweep(folder: int) -> None:
@@ -204,6 +203,11 @@ def _remove_if_unlocked(folder: int, name: str) -> None:
             os.unlink(name, dir_fd=folder)
         finally:
             os.close(descriptor)
+
+
+def not_written(path: object, error: OSError) -> str:
+    """Return the message that a file cannot be written."""
+    return f"cannot write {quoted_path(path)}: {error.strerror or error}"
 
 
 DATA = (".npz", ".csv")
@@ -241,7 +245,7 @@ def check_path(
         with _folder(path) as folder, temporary(folder):
             return path
     except OSError as error:
-        raise OutputError(f"cannot write {name}: {error.strerror or error}") from None
+        raise OutputError(not_written(path, error)) from None
 
 
 def _is_name(path: str | os.PathLike[str]) -> bool:
@@ -258,8 +262,8 @@ def _check_old(path: Path, name: str) -> None:
     if stat.S_ISDIR(mode):
         raise InputError(f"cannot write {name}: it is a folder")
     if not stat.S_ISREG(mode):
-        kind = "a FIFO" if stat.S_ISFIFO(mode) else "not a plain file"
-        raise InputError(f"cannot write {name}: it is {kind}, which a file would replace")
+        file_type = "a FIFO" if stat.S_ISFIFO(mode) else "not a plain file"
+        raise InputError(f"cannot write {name}: it is {file_type}, which a file would replace")
     # Check the mode: a rename would replace a read-only file, and root may write any file.
     if not mode & 0o222 or not os.access(path, os.W_OK):
         raise OutputError(f"cannot write {name}: the existing file is read-only")
@@ -292,7 +296,7 @@ def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
                 write(file)
             file_at.become(path.name)
     except OSError as error:
-        raise OutputError(f"cannot write {quoted_path(path)}: {error.strerror or error}") from error
+        raise OutputError(not_written(path, error)) from error
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> None:

@@ -18,23 +18,36 @@ import re
 import stat
 import struct
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from functools import cache, partial
+import llvmlite.binding as llvm
+from collections.abc import Callable
+from collections.abc import Iterator
+from collections.abc import Sequence
+from contextlib import contextmanager
+from contextlib import suppress
+from functools import cache
+from functools import partial
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
-
-import llvmlite.binding as llvm
+from typing import BinaryIO
+from typing import NamedTuple
 from platformdirs import user_cache_path
-
-from .compile_ahead import ObjectAhead, Part, begin, spare_processors
-from .cpu_target import LEVEL, code_level, cpu_target
-from .errors import CacheWarning, InputError
-from .files import TEMPORARY, fingerprint, signing_key, sweep, temporary
-from .version import __version__
+from .compile_ahead import ObjectAhead
+from .compile_ahead import Part
+from .compile_ahead import begin
+from .compile_ahead import spare_processors
+from .errors import CacheWarning
+from .errors import InputError
+from .files import TEMPORARY
+from .files import fingerprint
+from .files import signing_key
+from .files import sweep
+from .files import temporary
 from .waiting import notice_of_compiling
+from .installation import __version__
+from .machine_code import LEVEL
+from .machine_code import code_level
+from .machine_code import cpu_target
 
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
@@ -196,9 +209,9 @@ def cache_key(*parts: bytes | str) -> str:
     digest = sha256()
     cpu = cpu_target()
     level = () if code_level() == LEVEL else (f"level {code_level()}",)
-    for part in (*parts, *_environment(), cpu.name, cpu.features, *level):
-        data = part.encode() if isinstance(part, str) else part
-        digest.update(b"s" if isinstance(part, str) else b"b")
+    for value in (*parts, *_environment(), cpu.name, cpu.features, *level):
+        data = value.encode() if isinstance(value, str) else value
+        digest.update(b"s" if isinstance(value, str) else b"b")
         digest.update(struct.pack("<Q", len(data)) + data)
     return digest.hexdigest()
 

@@ -31,8 +31,8 @@ def unpack(data: Any, buffers: Sequence[bytes | memoryview]) -> Any:
     """Return the value of data and buffers that `pack` returned; arrays are writable copies."""
     if not isinstance(data, dict):
         return data
-    ((kind, content),) = data.items()
-    match kind:
+    ((form, content),) = data.items()
+    match form:
         case "bytes":
             return bytes(buffers[content])
         case "array":
@@ -52,9 +52,10 @@ def unpack(data: Any, buffers: Sequence[bytes | memoryview]) -> Any:
         case "columns":
             columns = {key: unpack(entry, buffers) for key, entry in content.items()}
             return [
-                dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)
+                dict(zip(columns, entries, strict=True))
+                for entries in zip(*columns.values(), strict=True)
             ]
-    raise InputError(f"expected a kind of packed values, got {kind!r}")
+    raise InputError(f"expected a kind of packed values, got {form!r}")
 
 
 def _pack(value: Any, buffers: list[bytes | memoryview]) -> Any:

@@ -1,8 +1,10 @@
-"""What a user sees while waiting: lines on standard error, and progress bars.
+"""What a user sees while waiting, and Ctrl-C: lines on standard error, and progress bars.
 
 On a terminal and in a notebook, a line appears after one second, and every ten seconds after it;
 elsewhere, in a pipe or a file, every ten seconds.  The environment variable PINRED_QUIET, with any
 value, turns them off.  Bars appear on terminals and in notebooks; elsewhere, lines replace them.
+
+Exceptions in callbacks of compiled code would be lost, so `held_interrupt` delays Ctrl-C.
 """
 
 from __future__ import annotations
@@ -11,14 +13,27 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ContextDecorator, nullcontext, suppress
+import signal
+import threading
+from collections.abc import Callable
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from contextlib import ContextDecorator
+from contextlib import nullcontext
+from contextlib import suppress
 from html import escape
 from importlib import import_module
-from threading import Lock, Thread, get_ident
-from typing import Any, Protocol, TypeAlias, TypeVar
-
+from threading import Lock
+from threading import Thread
+from threading import get_ident
+from typing import Any
+from typing import Protocol
+from typing import TypeAlias
+from typing import TypeVar
 from .errors import InputError
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
 
 _PATIENCE = 1.0  # time before the first line for a user who watches [s]
 _EVERY = 10.0  # time between lines [s]
@@ -91,6 +106,15 @@ class Wait(ContextDecorator):
         elapsed = f" ({now - self.began:.0f} s)" if self._is_stated else ""
         self._is_stated, self._due, _last_line = True, now + _EVERY, now
         return f"pinred {what}{elapsed}\n"
+
+
+def notice_of_compiling(what: str) -> Wait:
+    """Return the wait for a compilation.
+
+    Args:
+        what: What is compiled, such as "the equations of 'solo12'".
+    """
+    return Wait(f"compiles {what}; the next process finds the result in its cache")
 
 
 def say(text: str) -> None:
@@ -217,17 +241,17 @@ class ProgressBar:
         if not self._count or done <= 0.0:
             return ""
         elapsed = time.monotonic() - self._began
-        left = elapsed * (1.0 - part) / done
-        return f", {done * self._count / elapsed:.3g} {self._unit}/s, {_duration(left)} left"
+        remaining = elapsed * (1.0 - part) / done
+        return f", {done * self._count / elapsed:.3g} {self._unit}/s, {_duration(remaining)} left"
 
 
 def _duration(seconds: float) -> str:
     """Return a duration in words, such as "12 s" or "1 h 05 min"."""
-    minutes, rest = divmod(round(seconds), 60)
+    minutes, seconds_left = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     if hours:
         return f"{hours} h {minutes:02d} min"
-    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+    return f"{minutes} min {seconds_left:02d} s" if minutes else f"{seconds_left} s"
 
 
 class LongRunNotice:
@@ -249,11 +273,11 @@ class LongRunNotice:
         if not self._is_open or part <= 0.0 or elapsed < _NOTICE_AFTER:
             return
         self._is_open = False
-        left = elapsed * (1.0 - part) / part
-        if left > _LONG_WORK:
+        remaining = elapsed * (1.0 - part) / part
+        if remaining > _LONG_WORK:
             warnings.warn(
                 f"{self._what}: {100.0 * part:.2g} % took {_duration(elapsed)}, and the rest takes "
-                f"about {_duration(left)}. progress=True shows a bar.",
+                f"about {_duration(remaining)}. progress=True shows a bar.",
                 stacklevel=2,
             )
 
@@ -388,3 +412,41 @@ def notice_of_compiling(what: str) -> Wait:
         what: What is compiled, such as "the equations of 'solo12'".
     """
     return Wait(f"compiles {what}; the next process finds the result in its cache")
+INTERRUPTED = 130  # exit code of shells for a process that SIGINT ends: 128 + SIGINT
+_reported = threading.Event()
+
+
+def report_interrupt() -> None:
+    """Print once, on standard error, that a command was interrupted."""
+    if not _reported.is_set():
+        _reported.set()
+        os.write(2, b"pinred: interrupted\n")
+
+
+# Held while a file is written that must be complete before an interrupted process ends.
+cleaning_up = threading.RLock()
+
+
+@contextmanager
+def held_interrupt() -> Iterator[Callable[[], bool]]:
+    """Delay Ctrl-C until the end of the context.
+
+    At the end, the previous handler runs; usually it raises KeyboardInterrupt.  Python receives
+    signals only in the main thread.  In other threads, or without a Python handler, Ctrl-C is not
+    delayed.
+
+    Yields:
+        A function that returns whether Ctrl-C was pressed.
+    """
+    previous = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(previous):
+        yield lambda: False
+        return
+    signals: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: signals.append((number, frame)))
+    try:
+        yield lambda: bool(signals)
+    finally:
+        signal.signal(signal.SIGINT, previous)
+        if signals:
+            previous(*signals[0])

@@ -8,8 +8,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from .errors import InputError, OutputError
+from .files import not_written
+from .installation import install_command, optional_package
 from .names import quoted_path
-from .optional_packages import install_command, optional_package
 
 
 def import_zarr(path: Path, extra: str = "zarr") -> Any:
@@ -41,7 +42,7 @@ def create_group(path: Path, attributes: Mapping[str, Any]) -> Any:
     try:
         return zarr.create_group(str(path), zarr_format=3, attributes=dict(attributes))
     except OSError as error:
-        raise OutputError(_not_written(path, error)) from error
+        raise OutputError(not_written(path, error)) from error
 
 
 def open_group(path: Path, mode: str = "r") -> Any:
@@ -97,8 +98,4 @@ def replace_folder(path: Path, write: Callable[[Path], None]) -> None:
                 if old.exists() and not path.exists():
                     old.rename(path)
     except OSError as error:
-        raise OutputError(_not_written(path, error)) from error
-
-
-def _not_written(path: Path, error: OSError) -> str:
-    return f"cannot write {quoted_path(path)}: {error.strerror or error}"
+        raise OutputError(not_written(path, error)) from error

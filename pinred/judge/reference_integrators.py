@@ -46,7 +46,7 @@ from numpy.polynomial import legendre
 
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
-from ..common.interrupts import held_interrupt
+from ..common.waiting import held_interrupt
 
 Rate = Callable[[float, Array], Array]
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ..common.argument_kinds import checks_arguments
+from ..common.argument_kinds import checks_arguments, is_given
 from ..common.arrays import (
     Array,
     copied,
@@ -31,7 +31,6 @@ from ..common.arrays import (
     vector_or_zero,
     whole,
 )
-from ..common.default_marker import is_given
 from ..common.errors import InputError
 from ..common.html import card, line, numbers, table
 from ..common.memo import recent

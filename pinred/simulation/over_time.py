@@ -17,8 +17,8 @@ import numpy as np
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import LoadError
 from ..common.files import check_path, write_atomic
+from ..common.installation import install_command, optional_package
 from ..common.names import quoted_path
-from ..common.optional_packages import install_command, optional_package
 from ..common.zarr_folders import (
     create_array,
     create_group,

@@ -15,8 +15,8 @@ import cloudpickle
 import distributed
 
 from ..common.errors import InputError, PinredError
+from ..common.installation import __version__
 from ..common.names import brief, quoted
-from ..common.version import __version__
 from .sweep_job import Block, SweepJob
 
 _AHEAD = 2  # number of tasks in flight for each thread of the workers
@@ -101,13 +101,19 @@ def compute_on_dask(
         name = f"pinred-sweep-{id(job):x}-{client.id}"
         client.register_plugin(SweepPlugin(name, job), name=name)
         waiting = list(reversed(blocks))
+
+        def submit(index: int) -> Any:
+            key = f"{name}-{index}"
+            arguments = (name, index, __version__, device)
+            return client.submit(compute_on_worker, *arguments, key=key, pure=False)
+
         running: Any = None
         try:
             running = cast("Any", distributed).as_completed(loop=client.loop, with_results=True)
             while waiting or running.count():
                 ahead = max(1, _AHEAD * sum(client.nthreads().values()))
                 while waiting and running.count() < ahead:
-                    running.add(_submit(client, name, waiting.pop(), device))
+                    running.add(submit(waiting.pop()))
                 _, (block, version) = next(running)
                 if version != __version__:
                     raise InputError(
@@ -122,12 +128,6 @@ def compute_on_dask(
                 client.cancel(list(running.futures))
             with suppress(Exception):  # The scheduler may have ended.
                 client.unregister_worker_plugin(name)
-
-
-def _submit(client: Any, name: str, index: int, device: str | None) -> Any:
-    return client.submit(
-        compute_on_worker, name, index, __version__, device, key=f"{name}-{index}", pure=False
-    )
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,16 +16,22 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import whole
 from ..common.errors import InputError, RejectedWarning
 from ..common.files import is_folder
+from ..common.installation import install_command, optional_package, require_package
 from ..common.names import brief, nearest, one_of, quoted, quoted_path
-from ..common.optional_packages import install_command, optional_package, require_package
 from ..common.waiting import Progress, say, shown
 from ..common.zarr_folders import import_zarr
 from ..scene.scene import Scene
 from ..scene.scene_options import BLOCK, SAMPLERS, Sampler
 from ..simulation.members.member_groups import Group, members_plan
 from ..simulation.simulate_many import check_device
-from .distributions import Distribution, Listed, parse_distribution
-from .samplers import MOST_SOBOL, PointSequence, grid_size
+from .distributions import (
+    MOST_SOBOL,
+    Distribution,
+    Listed,
+    PointSequence,
+    grid_size,
+    parse_distribution,
+)
 from .sweep_job import FAILED, REJECTED, Block, SweepJob
 from .sweep_outputs import Outputs, parse_outputs
 from .sweep_store import SweepStore, read_plan
@@ -36,28 +42,6 @@ if TYPE_CHECKING:
 
 
 Report = Callable[[float], None]
-
-
-def compute_locally(
-    job: SweepJob,
-    blocks: Iterable[int],
-    threads: int | None,
-    device: str | None,
-    report: Callable[[int, float], None],
-) -> Iterator[Block]:
-    """Compute blocks one after another, each on threads and in SIMD lanes.
-
-    Args:
-        job: The sweep.
-        blocks: Indices of the blocks.
-        threads: Number of threads; as many as processors if None.
-        device: "cuda" for CUDA devices, None for the CPU.
-        report: Called with the index of a block and its completed fraction.
-    Yields:
-        The results.
-    """
-    for index in blocks:
-        yield job.compute(index, threads, device, partial(report, index))
 
 
 class PointsDone:
@@ -287,8 +271,9 @@ def _blocks(
     device: str | None,
     done: PointsDone,
 ) -> Iterator[Block]:
+    """Compute blocks on threads and in SIMD lanes, or on the workers of a scheduler."""
     if scheduler is None:
-        return compute_locally(job, pending, threads, device, done.inside)
+        return (job.compute(k, threads, device, partial(done.inside, k)) for k in pending)
     optional_package(
         "distributed", f"scheduler: this needs dask.distributed: {install_command('dask')}"
     )

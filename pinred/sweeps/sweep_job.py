@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.arrays import Array, whole
-from ..common.cpu_target import cpu_target
 from ..common.errors import LoopWarning, ShapeError
+from ..common.machine_code import cpu_target
 from ..common.names import quoted
 from ..scene.scene import Scene
 from ..simulation.members.member_options import MemberOptions, separate_all_rejected
@@ -21,7 +21,7 @@ from ..simulation.members.trajectories import Trajectories
 from ..simulation.simulate_many import run_members, simulate_many
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import axis_lengths
-from .samplers import PointSequence
+from .distributions import PointSequence
 from .sweep_outputs import Output
 from .varied_numbers import VariedScene
 
@@ -150,18 +150,18 @@ class SweepJob:
         together = self._members_of(_MOST_BYTES if device is None else _MOST_BYTES_OF_DEVICES)
         starts = range(0, last - first, together)
         for start in starts:
-            rows = values[start : start + together]
+            points_together = values[start : start + together]
             with warnings.catch_warnings():
                 if first + start:  # The first points have shown the warnings about open loops.
                     warnings.simplefilter("ignore", LoopWarning)
-                many, rejected = self._simulate(rows, threads, device)
+                many, rejected = self._simulate(points_together, threads, device)
             for failure in many.failures:
-                row = start + failure.member
-                status[row] = REJECTED if failure.member in rejected else FAILED
-                reasons[first + row] = failure.reason
-            blocks.append(None if len(rejected) == len(rows) else self._outputs_of(many))
+                place = start + failure.member
+                status[place] = REJECTED if failure.member in rejected else FAILED
+                reasons[first + place] = failure.reason
+            blocks.append(None if len(rejected) == len(points_together) else self._outputs_of(many))
             if progress is not None:
-                progress((start + len(rows)) / (last - first))
+                progress((start + len(points_together)) / (last - first))
         outputs = _joined(blocks, [len(values[s : s + together]) for s in starts])
         return Block(index, values, outputs, status, reasons, device or cpu_target().name)
 

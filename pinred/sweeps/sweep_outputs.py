@@ -100,10 +100,10 @@ class Measure:
         Args:
             many: The members.
         """
-        rows: Array = getattr(self, f"_{self.kind}")(many)
+        measured: Array = getattr(self, f"_{self.kind}")(many)
         if self.entry is not None:
-            return np.asarray(rows[:, self.entry])
-        return np.asarray(rows.max(axis=1) if self.kind in _OF_JOINTS else rows)
+            return np.asarray(measured[:, self.entry])
+        return np.asarray(measured.max(axis=1) if self.kind in _OF_JOINTS else measured)
 
     def _turn(self, many: Trajectories) -> Array:
         group, pose = many.system.group, many.fields(["pose"])["pose"]
@@ -117,16 +117,16 @@ class Measure:
     def _excursion(self, many: Trajectories) -> Array:
         space, x = many.system.space, many.fields(["x"])["x"]
         if space.balls:
-            x = np.stack([space.chart(row) for row in x])
+            x = np.stack([space.chart(shapes) for shapes in x])
         return np.asarray(np.abs(x - x[:, :1]).max(axis=1))
 
     def _peak_torque(self, many: Trajectories) -> Array:
         failed = {failure.member for failure in many.failures}
-        rows = np.full((len(many), many.system.m), np.nan)
+        peaks = np.full((len(many), many.system.m), np.nan)
         for k in range(len(many)):
             if k not in failed:
-                rows[k] = np.abs(many[k].torques).max(axis=0)
-        return rows
+                peaks[k] = np.abs(many[k].torques).max(axis=0)
+        return peaks
 
     def _impacts(self, many: Trajectories) -> Array:
         return self._of_impacts(many, 0.0, lambda t, _: len(np.unique(t)))
@@ -147,25 +147,25 @@ class Measure:
             none: The number of members without impacts.
             value: Function of the times and the lost energies of the impacts of a member.
         """
-        rows = np.full(len(many), none)
+        measured = np.full(len(many), none)
         for member in np.unique(many.impacts.member).tolist():
             table = many.impacts.of_member(member)
             counts = np.array([self.joint in ("", name) for name in table.joint])
             if counts.any():
-                rows[member] = value(table.t[counts], table.energy_lost[counts])
-        rows[[failure.member for failure in many.failures]] = np.nan
-        return rows
+                measured[member] = value(table.t[counts], table.energy_lost[counts])
+        measured[[failure.member for failure in many.failures]] = np.nan
+        return measured
 
     def _position(self, many: Trajectories) -> Array:
         failed = {failure.member for failure in many.failures}
-        rows = np.full((len(many), 3), np.nan)
+        positions = np.full((len(many), 3), np.nan)
         for k, q in enumerate(many.fields(["q"])["q"][:, -1]):
             if k not in failed and np.isfinite(q).all():
                 model = many[k].system.model  # Members may have robot parameters of their own.
                 data = model.createData()
                 pin.framesForwardKinematics(model, data, q)
-                rows[k] = data.oMf[model.getFrameId(self.frame)].translation
-        return rows
+                positions[k] = data.oMf[model.getFrameId(self.frame)].translation
+        return positions
 
 
 # The named quantities, with their form in texts and their meaning.
@@ -192,11 +192,11 @@ def _measure(scene: Scene, name: str, text: str) -> Output | None:
         or (match[2] is not None) != (match[1] == "position")
     ):
         return None
-    kind, frame, label = match[1], match[2] or "", match[3]
+    measure_name, frame, label = match[1], match[2] or "", match[3]
     system, what = scene.system, f"outputs: {quoted(name)}"
-    if kind in ("turn", "position") and scene.outputs != "all":
+    if measure_name in ("turn", "position") and scene.outputs != "all":
         raise InputError(f"{what}: the scene has outputs='shape', which leaves out the base")
-    if kind == "turn" and (not system.group.turns or (label and system.group.turns < 3)):
+    if measure_name == "turn" and (not system.group.turns or (label and system.group.turns < 3)):
         raise InputError(
             f"{what}: expected turn, of a base that can turn, with an entry x, y or z only if it "
             f"turns in space; the group is {system.group.name}"
@@ -207,24 +207,26 @@ def _measure(scene: Scene, name: str, text: str) -> Output | None:
             f"{what}: no frame {quoted(frame)}; {nearest(frame, frames)}the frames are "
             f"{listed(frames, 60)}"
         )
-    if kind in _OF_IMPACTS:
+    if measure_name in _OF_IMPACTS:
         joint = _joint_with_stop(scene, label, what)
-        measure = Measure(kind, None, joint=joint)
-        return Output(name, "", None, False, measure, dims=(), unit=_OF_IMPACTS[kind])
-    entry, units = None, ["°"] if kind == "turn" else ["m"]
-    if kind in _OF_JOINTS:
+        measure = Measure(measure_name, None, joint=joint)
+        return Output(name, "", None, False, measure, dims=(), unit=_OF_IMPACTS[measure_name])
+    entry, units = None, ["°"] if measure_name == "turn" else ["m"]
+    if measure_name in _OF_JOINTS:
         if not system.m:
             raise InputError(f"{what}: {quoted(system.name)} has no joints")
-        is_torque = kind == "peak_torque"
+        is_torque = measure_name == "peak_torque"
         units = [("N" if unit == "m" else "N·m") if is_torque else unit for unit in system.units]
-    if label is not None and kind in ("position", "turn"):
+    if label is not None and measure_name in ("position", "turn"):
         entry = component_index(label, {"x": 0, "y": 1, "z": 2}, what)
     elif label is not None:
         entry = joint_index(label, system.shape_names, what)
         units = [units[entry]]
     unit = " | ".join(dict.fromkeys(units))
-    over_time = kind != "position"
-    return Output(name, "", None, over_time, Measure(kind, entry, frame), dims=(), unit=unit)
+    over_time = measure_name != "position"
+    return Output(
+        name, "", None, over_time, Measure(measure_name, entry, frame), dims=(), unit=unit
+    )
 
 
 def _joint_with_stop(scene: Scene, label: str | None, what: str) -> str:
@@ -269,8 +271,8 @@ def parse_outputs(scene: Scene, outputs: Outputs | None) -> tuple[Output, ...]:
 
 
 def _fields_of(scene: Scene) -> list[str]:
-    kind = State if scene.outputs == "all" else ShapeState
-    return [name for name in kind.__dataclass_fields__ if name != "t"]
+    state_type = State if scene.outputs == "all" else ShapeState
+    return [name for name in state_type.__dataclass_fields__ if name != "t"]
 
 
 def _output(scene: Scene, name: str, value: str | Function, known: Sequence[str]) -> Output:

@@ -37,6 +37,7 @@ from ..common.files import (
     is_file,
     is_folder,
     lock_shared,
+    not_written,
     read_plain_file,
     remove_temporary_files,
     write_atomic,
@@ -44,9 +45,8 @@ from ..common.files import (
 from ..common.names import listed, plain, quoted, quoted_path
 from ..common.zarr_folders import array_name, create_array, import_zarr, open_group
 from ..system.state_fields import axis_labels, dimension
-from .stored_job import write_job
+from .stored_job import FORMAT, digest_of_parts, first_difference, plan_of_sweep, write_job
 from .sweep_job import MISSING, REJECTED, Block, SweepJob, check_row_shape
-from .sweep_plan import FORMAT, digest_of_parts, first_difference, plan_of_sweep
 
 PLAN = "plan"
 _PLAN_FILE, _CHECKSUMS = f"{PLAN}/plan.json", f"{PLAN}/files.json"
@@ -164,10 +164,12 @@ class StoredBlocks:
             raise self._damaged(index, file, "has another content than was written")
         try:
             reasons = {int(point): str(text) for point, text in record["reasons"].items()}
-            rows = {name: tuple(map(int, row)) for name, row in record.get("rows", {}).items()}
+            shapes = {
+                name: tuple(map(int, shape)) for name, shape in record.get("rows", {}).items()
+            }
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError):
             raise self._damaged(index, file, "has another content than was written") from None
-        return {"cpu": str(record.get("cpu", "")), "reasons": reasons, "rows": rows}
+        return {"cpu": str(record.get("cpu", "")), "reasons": reasons, "rows": shapes}
 
     def has_values(self, name: str, index: int) -> bool:
         """Return whether a block is complete and has values of an array.
@@ -317,24 +319,24 @@ class SweepStore:
     def _blocks(self) -> StoredBlocks:
         """Return the blocks of the folder, with the shapes that this sweep has."""
         job, sizes = self.job, self._sizes()
-        rows: dict[str, tuple[int, ...]] = {"status": ()}
-        rows |= {array_name(number.key): () for number in job.varied.numbers}
-        rows |= {
+        row_shapes: dict[str, tuple[int, ...]] = {"status": ()}
+        row_shapes |= {array_name(number.key): () for number in job.varied.numbers}
+        row_shapes |= {
             array_name(output.name): tuple(sizes[name] for name in output.dims)
             for output in job.outputs
             if output.function is None
         }
-        rows |= {self._functions[name]: row for name, row in self._function_rows.items()}
+        row_shapes |= {self._functions[name]: shape for name, shape in self._function_rows.items()}
         outputs = frozenset(array_name(output.name) for output in job.outputs)
-        return StoredBlocks(self.path, job.points, job.block, rows, outputs)
+        return StoredBlocks(self.path, job.points, job.block, row_shapes, outputs)
 
     def _read_function_rows(self) -> None:
         """Read the shapes of the rows of functions from the first record that states them."""
         blocks = self._blocks()
         for index in blocks.stored() if self._functions else ():
             with suppress(LoadError):
-                if rows := blocks.record(index)["rows"]:
-                    self._add_function_rows(rows)
+                if row_shapes := blocks.record(index)["rows"]:
+                    self._add_function_rows(row_shapes)
                     return
 
     def _add_function_rows(self, rows: Mapping[str, tuple[int, ...]]) -> None:
@@ -388,7 +390,7 @@ class SweepStore:
                 with suppress(OSError):  # The folder exists; it is checked below.
                     complete.rename(self.path)
         except OSError as error:
-            raise OutputError(_not_written(self.path, error)) from error
+            raise OutputError(not_written(self.path, error)) from error
         self._check()
         self._is_checked = True
 
@@ -414,10 +416,10 @@ class SweepStore:
         labels = self._labels()
         for name in sorted({dim for output in job.outputs for dim in output.dims}):
             values = labels[name]
-            kind = {"f": float("nan"), "i": 0, "O": ""}[values.dtype.kind]
+            fill = {"f": float("nan"), "i": 0, "O": ""}[values.dtype.kind]
             array = create_array(
                 root, name, (name,), {"units": "s" if name == "t" else ""}, shape=values.shape,
-                dtype="string" if values.dtype == object else values.dtype, fill_value=kind,
+                dtype="string" if values.dtype == object else values.dtype, fill_value=fill,
                 config=_WRITE_ALL,
             )  # fmt: skip
             array[:] = values
@@ -477,13 +479,13 @@ class SweepStore:
             OutputError: Writing fails.
             ShapeError: An output has rows of another shape than in the blocks before.
         """
-        rows = {
+        row_shapes = {
             name: values.shape[1:]
             for name, values in block.outputs.items()
             if name in self._functions
         }
-        is_new = bool(rows.keys() - self._function_rows.keys())
-        self._add_function_rows(rows)
+        is_new = bool(row_shapes.keys() - self._function_rows.keys())
+        self._add_function_rows(row_shapes)
         if not self._is_checked:
             self._create()
         elif is_new:
@@ -496,7 +498,7 @@ class SweepStore:
             "block": block.index,
             "cpu": block.cpu,
             "reasons": {str(point): text for point, text in block.reasons.items()},
-            "rows": {name: list(row) for name, row in rows.items()},
+            "rows": {name: list(shape) for name, shape in row_shapes.items()},
         }
         _write_file(self.path / _record_file(block.index), _sealed(record))
         self._write_chunk("status", block.index, block.status)
@@ -510,7 +512,7 @@ class SweepStore:
         try:
             self._arrays[name][first:last] = values
         except OSError as error:
-            raise OutputError(_not_written(self.path / name / "c" / str(index), error)) from error
+            raise OutputError(not_written(self.path / name / "c" / str(index), error)) from error
 
 
 # Blocks whose numbers are all NaN have chunks, too, because missing chunks are damage.
@@ -531,7 +533,7 @@ def _make_way(path: Path) -> None:
     except NotADirectoryError:  # A folder above is a file, so writing will fail.
         return
     except OSError as error:
-        raise OutputError(f"{_not_written(path, error)}. Move it away") from None
+        raise OutputError(f"{not_written(path, error)}. Move it away") from None
 
 
 def _write_file(path: Path, content: bytes) -> None:
@@ -539,12 +541,8 @@ def _write_file(path: Path, content: bytes) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(_not_written(path, error)) from error
+        raise OutputError(not_written(path, error)) from error
     write_atomic(path, lambda file: file.write(content))
-
-
-def _not_written(path: Path, error: OSError) -> str:
-    return f"cannot write {quoted_path(path)}: {error.strerror or error}"
 
 
 def _has_checksum(data: bytes) -> bool:
@@ -668,17 +666,17 @@ def read_blocks(path: Path, plan: Mapping[str, Any]) -> StoredBlocks:
     functions = [name for name, is_function in kinds.items() if is_function]
     fields = [name for name, is_function in kinds.items() if not is_function]
     names = ["status", *map(array_name, plan["vary"]), *fields]
-    rows = {name: _row_shape(path, name, plan) for name in names}
+    row_shapes = {name: _row_shape(path, name, plan) for name in names}
     if not has_checksums:
         _check_labels(path, {*names, *functions, PLAN})
     blocks = StoredBlocks(
-        path, plan["points"], plan["block"], rows, frozenset(kinds), has_checksums
+        path, plan["points"], plan["block"], row_shapes, frozenset(kinds), has_checksums
     )
     # The array of a function is created before the first block that has values of it.
     has_values = any(blocks.has_values(name, k) for name in functions[:1] for k in blocks.stored())
     for name in functions:
         if has_values or (path / name / "zarr.json").exists():
-            rows[name] = _row_shape(path, name, plan)
+            row_shapes[name] = _row_shape(path, name, plan)
     return blocks
 
 
@@ -709,16 +707,16 @@ def _row_shape(path: Path, name: str, plan: Mapping[str, Any]) -> tuple[int, ...
             raise FileNotFoundError
         array = open_group(path)[name]
         dict(array.attrs)
-        row, kind = tuple(array.shape[1:]), "u1" if name == "status" else "f8"
+        shape, dtype = tuple(array.shape[1:]), "u1" if name == "status" else "f8"
         if (array.shape[0], *array.chunks, array.dtype) != (
-            plan["points"], plan["block"], *row, np.dtype(kind)
+            plan["points"], plan["block"], *shape, np.dtype(dtype)
         ):  # fmt: skip
             raise ValueError
     except Exception as error:  # A foreign zarr.json may make zarr raise any exception.
         if isinstance(error, MissingPackageError):
             raise
         _refuse(path, file, plan["format"] > 1)
-    return row
+    return shape
 
 
 def _check_labels(path: Path, others: set[str]) -> None:

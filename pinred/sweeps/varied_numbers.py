@@ -230,15 +230,15 @@ def _labels_of(system: System, name: str) -> Sequence[str]:
 
 
 def _unit(system: System, name: str, label: str) -> str:
-    kind = name.rpartition(".")[2]
-    if kind == "lock":
+    quantity = name.rpartition(".")[2]
+    if quantity == "lock":
         joint = system.sorted_model.joints[
             system.sorted_model.getJointId(name.removesuffix(".lock"))
         ]
         return "m" if joint.shortname().startswith("JointModelP") else "rad"
-    if kind == "placement":
+    if quantity == "placement":
         return "rad" if label in _ANGLES else "m"
-    return _UNITS.get(kind, "1")
+    return _UNITS.get(quantity, "1")
 
 
 def _unit_of_stop(system: System, key: str) -> str:
@@ -324,9 +324,9 @@ def _nominal(scene: Scene, member: str) -> Array:
         return np.asarray(system.space.chart(start.x)[0])
     states = {"xdot0": start.xdot, "pose0": start.pose, "xi0": start.xi, "momentum": start.mu}
     if member in states:
-        rows = states[member]
-        assert rows is not None
-        return np.asarray(rows[0])
+        states_of_members = states[member]
+        assert states_of_members is not None
+        return np.asarray(states_of_members[0])
     if member == "gravity":
         return np.asarray(system.gravity)
     if (parameter := force_parameters(scene).get(member)) is not None:

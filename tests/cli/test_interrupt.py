@@ -13,7 +13,7 @@ import pytest
 from interruptions import BEGIN, interrupted
 
 from pinred.common.arrays import Array
-from pinred.common.interrupts import held_interrupt
+from pinred.common.waiting import held_interrupt
 from pinred.judge.reference_integrators import Hairer
 
 

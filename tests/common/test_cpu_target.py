@@ -11,10 +11,9 @@ import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
-from pinred.common import cpu_target as targets
-from pinred.common.cpu_target import cpu_target
+from pinred.common import machine_code as targets
 from pinred.common.errors import InputError
-from pinred.common.machine_code import load_object
+from pinred.common.machine_code import cpu_target, load_object
 from pinred.common.object_cache import cache_key
 from pinred.kernels.machine.native import compile_object
 

@@ -9,11 +9,12 @@ import subprocess
 import sys
 from pathlib import Path
 from threading import Thread
+from typing import BinaryIO
 
 import pytest
 
 import pinred
-from pinred.common.files import check_path, write_atomic
+from pinred.common.files import check_path, remove_temporary_files, write_atomic
 from pinred.common.names import quoted_path
 
 WRITE = """
@@ -52,6 +53,26 @@ def test_write_removes_temporary_file_of_killed_process(tmp_path: Path) -> None:
     stranger.write_text("not ours")
     write_atomic(tmp_path / "c.npz", lambda file: file.write(b"c"))
     assert files_in(tmp_path) == sorted([stranger.name, "b.npz", "c.npz"])
+
+
+def test_temporary_files_are_removed_below_a_folder_unless_locked(tmp_path: Path) -> None:
+    """Those of ended processes disappear from all folders; one that is being written stays."""
+    inner = tmp_path / "c" / "0"
+    inner.mkdir(parents=True)
+    names = [f".pinred-{k:016x}.tmp" for k in range(2)]
+    for folder, name in zip((tmp_path, inner), names, strict=True):
+        (folder / name).write_bytes(b"half")
+
+    def write(file: BinaryIO) -> None:
+        (inner / names[0]).write_bytes(b"half")  # the writer has removed older ones
+        remove_temporary_files(tmp_path)
+        assert files_in(tmp_path) == ["c"]
+        (locked,) = files_in(inner)
+        assert locked not in names
+        file.write(b"all")
+
+    write_atomic(inner / "a.npz", write)
+    assert files_in(inner) == ["a.npz"]
 
 
 def test_write_atomic_in_parallel_threads_keeps_all_files(tmp_path: Path) -> None:

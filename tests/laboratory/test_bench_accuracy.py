@@ -18,7 +18,7 @@ import pinred
 from pinred.cli.main import main
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, IntegrationError, LoadError
-from pinred.common.optional_packages import install_command
+from pinred.common.installation import install_command
 from pinred.integrators.methods import RKMK4
 from pinred.judge.distances import FullMotion
 from pinred.laboratory.bench import (

@@ -18,7 +18,7 @@ import pytest
 
 import pinred
 from pinred.cli.main import main
-from pinred.common.default_marker import Default
+from pinred.common.argument_kinds import Default
 from pinred.forces import (
     PD,
     ComputedTorque,

@@ -13,8 +13,7 @@ from scipy.stats import qmc
 import pinred
 from pinred.common.arrays import Array
 from pinred.scene.scene_options import SAMPLERS, Sampler
-from pinred.sweeps.distributions import Distribution
-from pinred.sweeps.samplers import PointSequence, grid_size
+from pinred.sweeps.distributions import Distribution, PointSequence, grid_size
 
 UNIT = pinred.Uniform(0.0, 1.0)
 LAWS = (UNIT, pinred.Grid(0, 1, 100), pinred.Values(np.arange(50.0)))

@@ -6,17 +6,15 @@ If a class has to move, read its former name in `pinred.sweeps.stored_job`.
 from __future__ import annotations
 
 import pickle
+import pytest
+import pinred
 from importlib import import_module
 from io import BytesIO
 from typing import Any
-
-import pytest
-
-import pinred
 from pinred.sweeps.stored_job import StoredScene
 
 STORED = {
-    "pinred.common.default_marker": "Default",
+    "pinred.common.argument_kinds": "Default",
     "pinred.common.parameter": "Parameter VectorParameter",
     "pinred.forces.controller": "Controller",
     "pinred.forces.force": "Limit",
@@ -31,8 +29,9 @@ STORED = {
     "pinred.lie.spatial_groups": "_SE3 _SO3",
     "pinred.scene.event": "Event",
     "pinred.scene.scene": "Scene",
-    "pinred.sweeps.distributions": "Grid LogUniform Normal Uniform Values",
+    "pinred.sweeps.distributions": "Grid LogUniform Normal PointSequence Uniform Values",
     "pinred.sweeps.sweep_job": "SweepJob",
+    "pinred.sweeps.varied_numbers": "VariedNumber VariedScene",
     "pinred.system.coordinates": "CoordinateMap InitialState PlacedJoint ShapeSpace",
     "pinred.system.joints": "_named",
     "pinred.system.hinge_triples": "HingeTriple",
@@ -49,6 +48,8 @@ FORMER = {
     "pinred.forces.signals.formulas": "Constant Expression Fourier",
     "pinred.forces.signals.tabulated": "Hold Linear Spline",
     "pinred.forces.wrench": "Wrench",
+    "pinred.common.default_marker": "Default",
+    "pinred.sweeps.samplers": "PointSequence",
     "pinred.system.actuator": "Actuator",
     "pinred.system.ball_forces": "BallSpring",
     "pinred.system.elementary_joints": "_named",

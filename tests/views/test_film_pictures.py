@@ -24,8 +24,7 @@ from robot_texts import joint, robot
 import pinred
 from pinred.common.arrays import Array
 from pinred.laboratory.bench import bench_films
-from pinred.views.playback.film import find_ffmpeg, write_gif
-from pinred.views.playback.film_frames import Frames
+from pinred.views.playback.film import Frames, find_ffmpeg, write_gif
 from pinred.views.playback.rasteriser import (
     SIDE,
     SMOOTH,
@@ -130,8 +129,7 @@ def test_pixels_are_means_of_samples_and_pictures_blend() -> None:
 
 def test_ball_has_the_silhouette_of_its_cone() -> None:
     """A sample shows the ball if its ray meets it; its brightness is that of two lamps."""
-    from pinred.views.playback.drawn_bodies import Solid
-    from pinred.views.playback.solid_meshes import solid_mesh, vertex_normals
+    from pinred.views.playback.drawn_bodies import Solid, solid_mesh, vertex_normals
 
     still = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     mesh = solid_mesh(Solid(0, "sphere", (1.0,), still, (1.0, 1.0, 1.0, 1.0)), ())

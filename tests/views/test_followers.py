@@ -10,10 +10,9 @@ import pytest
 from robot_texts import joint, link, robot, write
 
 import pinred
-from pinred.views.playback.playback import playback
-from pinred.views.playback.shape_panel import shape_panel
+from pinred.views.motion_source import labels_of
+from pinred.views.playback.playback import playback, shape_panel
 from pinred.views.playback.view_options import View
-from pinred.views.plots.motion_labels import labels_of
 
 KINDS = ("base", "curvature", "energy", "error", "momentum", "phase", "poincare", "shape", "sphere")
 

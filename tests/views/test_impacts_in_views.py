@@ -14,10 +14,9 @@ from test_playback_in_browser import complaints, count_different, picture_at, sh
 
 import pinred
 from pinred.views.playback.drawn_bodies import drawn_bodies
-from pinred.views.playback.film_frames import Frames
-from pinred.views.playback.framing import frame
+from pinred.views.playback.film import Frames
 from pinred.views.playback.playback import playback
-from pinred.views.playback.scene_nodes import scene_nodes
+from pinred.views.playback.scene_nodes import frame, scene_nodes
 from pinred.views.playback.view_options import View
 
 

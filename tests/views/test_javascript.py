@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -14,6 +16,7 @@ from feel_cost import scripts_of
 import pinred
 from pinred.common.arrays import Array
 from pinred.views.feel.feel_page import to_javascript
+from pinred.views.playback.view_options import LOOK
 
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="node is not installed")
@@ -77,3 +80,14 @@ def test_operations_without_translation_are_refused() -> None:
 def test_scripts_stay_short(name: str, most: float) -> None:
     """Sizes in kB; one statement per operation would take twice as much."""
     assert len(scripts_of(pinred.load(name))) < 1e3 * most
+
+
+def test_scripts_take_colours_from_the_look() -> None:
+    """Pages and films have one table of colours and sizes; no script states a colour of its own."""
+    views = Path(pinred.__file__).parent / "views"
+    scripts = "".join(path.read_text("utf-8") for path in views.rglob("*.js"))
+    assert re.findall(r"#[0-9a-f]{6}\b|0x[0-9a-f]{6}\b", scripts) == []
+    known = set(vars(LOOK))
+    assert set(re.findall(r"\blook\.(\w+)", scripts)) <= known
+    sources = scripts + "".join(path.read_text("utf-8") for path in views.rglob("*.py"))
+    assert {name for name in known if f"look.{name}" not in sources.lower()} == set()

@@ -25,9 +25,8 @@ from pinred.lie.rotations import rotation
 from pinred.views.playback import film as films
 from pinred.views.playback.drawn_bodies import drawn_bodies
 from pinred.views.playback.film import write_frames, write_gif
-from pinred.views.playback.framing import frame
-from pinred.views.playback.playback import Playback, playback
-from pinred.views.playback.shape_panel import shape_panel
+from pinred.views.playback.playback import Playback, playback, shape_panel
+from pinred.views.playback.scene_nodes import frame
 from pinred.views.playback.view_options import View
 
 

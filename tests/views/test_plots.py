@@ -73,7 +73,7 @@ def test_shape_plot_has_panels_by_branch() -> None:
 
 def test_lines_of_panel_differ_in_dashes_or_marker() -> None:
     """For the largest number of lines in a panel."""
-    from pinred.views.plots.motion_labels import MOST
+    from pinred.views.motion_source import MOST
     from pinred.views.plots.style import line
 
     looks = {(str(line(k)["linestyle"]), line(k).get("marker")) for k in range(MOST)}

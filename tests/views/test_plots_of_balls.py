@@ -12,7 +12,7 @@ from pinred import plots
 from pinred.common.arrays import Array
 from pinred.lie.rotations import quaternion_exp
 from pinred.signals import Attitude
-from pinred.views.plots.poincare_section import section
+from pinred.views.plots.phase_space import section
 
 _TWIST = np.array([2.0, -1.0, 2.0]) / 3.0
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
-from importlib import resources
 from typing import cast
 
 import numpy as np
@@ -21,9 +19,9 @@ from pinred import plots
 from pinred.lie.group import Group
 from pinred.lie.groups import SE2, SE3
 from pinred.lie.rotations import left_jacobian
-from pinred.views.plots.connection_field import moved_component
-from pinred.views.plots.motion_labels import labels_of
-from pinred.views.plots.shape_plane import draw_field, plane, refine, title_at
+from pinred.views.motion_source import labels_of
+from pinred.views.playback.view_options import LOOK
+from pinred.views.plots.connection_field import draw_field, moved_component, plane, refine, title_at
 
 CIRCLE = pinred.Gait.fourier([0.3, 0.2], [[0.5, 0.0]], [[0.0, 0.5]])
 
@@ -68,10 +66,9 @@ def test_zero_contour_has_zero_curvature() -> None:
 
 
 def test_figures_and_playback_have_the_same_colours() -> None:
-    """Signed fields have the colours of field.js at −1, 0 and 1."""
-    field = resources.files(pinred) / "views/playback/field.js"
-    colours = re.findall(r"\[(\d+), (\d+), (\d+)\]", field.read_text("utf-8"))
-    low, high = (tuple(map(int, colour)) for colour in colours)
+    """Signed fields have Okabe and Ito's blue and vermilion, which pages read from Look."""
+    low, high = (0, 114, 178), (213, 94, 0)
+    assert [tuple(bytes.fromhex(colour[1:])) for colour in LOOK.field] == [low, high]
     figure = plots.field(rods(), limits=[(-2.0, 2.0)] * 2)
     shown = filled_contours(figure.axes[0]).get_cmap()
     expected = [low, (255, 255, 255), high]

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import pinred
 from pinred import plots
 from pinred.common.arrays import Array
-from pinred.views.plots.poincare_section import crossings
+from pinred.views.plots.phase_space import crossings
 
 
 def contours(axes: Axes) -> list[Any]:
@@ -259,7 +259,7 @@ def test_rigid_body_moves_on_sphere() -> None:
 @pytest.mark.parametrize("moments", [(1.0, 2.0, 2.5), (1.0, 1.0, 1.5), (1.0, 1.5, 1.5), (2, 2, 2)])
 def test_level_curves_keep_momentum_and_energy(moments: tuple[float, float, float]) -> None:
     """They cover both sides of the separatrix, if there is one."""
-    from pinred.views.plots.momentum_sphere import level_curves
+    from pinred.views.plots.phase_space import level_curves
 
     turn = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
     inverse = turn @ np.diag(1 / np.array(moments)) @ turn.T
@@ -282,7 +282,7 @@ def test_level_curves_keep_momentum_and_energy(moments: tuple[float, float, floa
 
 def test_body_momentum_equals_pinocchio() -> None:
     """About the centre of mass, rotated to the body frame, for a robot of many bodies."""
-    from pinred.views.plots.momentum_sphere import angular_momentum
+    from pinred.views.plots.phase_space import angular_momentum
 
     traj = pinred.simulate(pinred.load("satellite_two_arms"), duration=2.0)
     model, data = traj.system.model, traj.system.model.createData()

@@ -7,9 +7,8 @@ from dataclasses import Field, dataclass, field
 from math import ceil, inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from ...common.argument_kinds import checks_arguments
+from ...common.argument_kinds import Default, checks_arguments
 from ...common.arrays import positive
-from ...common.default_marker import Default
 from ...common.errors import InputError
 
 if TYPE_CHECKING:

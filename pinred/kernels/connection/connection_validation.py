@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...common.arrays import Array
-from ...common.differences import central_differences
+from ...common.arrays import Array, central_differences
 from ...common.machine_code import NativeCode
 from ..evaluate import columns_at, evaluate
 from ..validation import TOLERANCE, require_agreement

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.errors import DeviceError
+from ...common.installation import install_command, optional_package
 from ...common.memo import once_for_all
-from ...common.optional_packages import install_command, optional_package
 
 CAPABILITY = (9, 0)  # lowest compute capability that runs the PTX
 MODULES = 16  # largest number of modules that stay loaded on a device

@@ -29,7 +29,7 @@ from ...common.errors import (
     PinredError,
     SymmetryError,
 )
-from ...common.optional_packages import optional_package
+from ...common.installation import optional_package
 from ...judge.compare import compare
 from ...judge.verdict import Report, Verdict
 from ...simulation.simulate import simulate

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ...common.errors import InputError, MissingPackageError
+from ...common.installation import optional_package
 from ...common.memo import once_for_all
-from ...common.optional_packages import optional_package
 from . import xla_call
 from .flow_columns import FIRST_ORDER, Batched, Columns
 

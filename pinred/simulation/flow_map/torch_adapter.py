@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from ...common.errors import InputError, ShapeError
+from ...common.installation import optional_package
 from ...common.memo import once_for_all
 from ...common.names import brief
-from ...common.optional_packages import optional_package
 from .flow_columns import FIRST_ORDER, Batched, Columns
 
 # Registered flows; operators refer to a flow by its number.  Entries are never removed.

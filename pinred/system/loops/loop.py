@@ -24,8 +24,8 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError, LoadError
 from ...common.files import is_file
+from ...common.installation import install_command, optional_package
 from ...common.names import brief, plain_path, quoted
-from ...common.optional_packages import install_command, optional_package
 
 LoopKind = Literal["3d", "6d", "x", "y", "z"]
 KINDS: tuple[str, ...] = get_args(LoopKind)

@@ -22,8 +22,8 @@ import numpy as np
 
 from ...common.errors import LoadError, ModelError, PinredError
 from ...common.files import is_file, is_special
+from ...common.installation import install_command, optional_package
 from ...common.names import plain_path
-from ...common.optional_packages import install_command, optional_package
 from ..robot_files import is_mujoco, library_output, read_text, without_hyphens
 
 INSTALL = install_command("mjcf")

@@ -2,7 +2,7 @@
 "use strict";
 (() => {
   const { head, array } = readPage();
-  const at = stage(head, array), { THREE, $, viewer, reduced, set } = at;
+  const at = stage(head, array), { THREE, $, viewer, reduced, look, set } = at;
   const d = head.labels.length, J = head.momentum.spatial;
   const shapes = head.loops ? closedShapes(head.loops, head.size, loops) : openShapes();
   const assembled = shapes.state, motion = lifter(head.size, twist, shapes);
@@ -244,10 +244,10 @@
   at.showTitle(document.querySelector("#side summary"));
   at.toggle("Robot", "robot", "", true, set("Robot"), draw);
   at.toggle("See-through", "see-through robot", "", false, at.seeThrough, draw);
-  at.toggle("Base frame", "base frame", "#009e73", true, set("Base frame"), draw);
-  at.toggle("CoM", "centre of mass", "#111", true, set("CoM trail"), draw);
-  if (at.balls.length) at.toggle("Ball joints", "ball joints", "#7b4fa3", true, set("Ball joints"), draw);
-  at.toggle("Grid", "grid", "#8a97a5", true, set("Grid"), draw);
+  at.toggle("Base frame", "base frame", look.axes[1], true, set("Base frame"), draw);
+  at.toggle("CoM", "centre of mass", look.mass[0], true, set("CoM trail"), draw);
+  if (at.balls.length) at.toggle("Ball joints", "ball joints", look.ball[0], true, set("Ball joints"), draw);
+  at.toggle("Grid", "grid", look.grid_mark, true, set("Grid"), draw);
 
   let last = null;
   function step(stamp) {
@@ -265,8 +265,8 @@
     if (cycles !== before) tellPhase();
     draw();
   }
-  const look = () => at.look(spinning ? head.reach : 1.05 * head.radius);
-  const refit = () => { if (at.moved) at.aim(); else look(); };
+  const frameRobot = () => at.frameBall(spinning ? head.reach : 1.05 * head.radius);
+  const refit = () => { if (at.moved) at.aim(); else frameRobot(); };
   addEventListener("resize", () => { if (narrow() && panel && cards[0].open) cards[1].open = false; refit(); draw(); });
   const cards = document.querySelectorAll("#side > details, #panel > details");
   const narrow = () => innerWidth < 560; // only one of the two cards is open
@@ -286,7 +286,7 @@
     tellPhase();
   }
   draw();
-  look();
+  frameRobot();
   draw();
   requestAnimationFrame(step);
   window.pinred = {

@@ -65,7 +65,7 @@ function feelPlane(head, curvature, shapes, canvas, events) {
   function paint(component) {
     const layer = document.createElement("canvas");
     [layer.width, layer.height] = [canvas.width, canvas.height];
-    const ink = layer.getContext("2d"), axes = shapePlane(box, pair.map((k) => head.labels[k]));
+    const ink = layer.getContext("2d"), axes = shapePlane(box, pair.map((k) => head.labels[k]), head.look);
     ink.font = "22px system-ui, sans-serif";
     const part = values[component];
     const flat = strength(part) <= 1e-12 * Math.max(1e-3, ...values.map(strength));
@@ -92,15 +92,15 @@ function feelPlane(head, curvature, shapes, canvas, events) {
   function draw(w, loop) {
     pen.clearRect(0, 0, canvas.width, canvas.height);
     pen.drawImage(backdrop, 0, 0);
-    if (loop) stroke(loop, "#111", 4);
+    if (loop) stroke(loop, head.look.mass[0], 4);
     const here = pair.map((k) => w[k]);
     if (drawn) {
-      stroke([...drawn, here], "#111", 4);
-      stroke([here, drawn[0]], "#111", 2, [8, 8]);
+      stroke([...drawn, here], head.look.mass[0], 4);
+      stroke([here, drawn[0]], head.look.mass[0], 2, [8, 8]);
     }
     pen.beginPath();
     pen.arc(...toPixel(here), 11, 0, 2 * Math.PI);
-    [pen.fillStyle, pen.strokeStyle, pen.lineWidth] = ["#f0e442", "#111", 3];
+    [pen.fillStyle, pen.strokeStyle, pen.lineWidth] = [head.look.point, head.look.mass[0], 3];
     pen.fill();
     pen.stroke();
   }

@@ -1,10 +1,11 @@
 // The curvature of a connection over two joints, in colours, with its colour bar and axes.
 "use strict";
-function shapePlane(box, labels) { // box: left, top, width, height in the canvas
+function shapePlane(box, labels, look) { // box: left, top, width, height in the canvas
   const OUTSIDE = [176, 184, 192, 255]; // of values that are not defined
+  const strong = look.field.map((text) => [1, 3, 5].map((k) => parseInt(text.slice(k, k + 2), 16)));
   function colour(v) { // −1 blue, 0 white, 1 orange: told apart by the colour-blind
-    const strong = v < 0 ? [0, 114, 178] : [213, 94, 0], a = Math.min(1, Math.abs(v));
-    return strong.map((c) => 255 + (c - 255) * a);
+    const a = Math.min(1, Math.abs(v));
+    return strong[v < 0 ? 0 : 1].map((c) => 255 + (c - 255) * a);
   }
   function paintField(ink, n, values, name) {
     const most = Math.max(1e-300, values.reduce((m, v) => (Math.abs(v) > m ? Math.abs(v) : m), 0));
@@ -22,7 +23,7 @@ function shapePlane(box, labels) { // box: left, top, width, height in the canva
   function paintBar(ink, most, name) { // colour bar above the field
     const bound = most < 1e-3 ? most.toExponential(1) : most.toPrecision(2), top = 14, wide = 110;
     const left = Math.ceil(box[0] + ink.measureText(`−${bound}`).width + 8); // whole pixels keep colours pure
-    ink.fillStyle = "#1d2733";
+    ink.fillStyle = look.ink;
     ink.fillText(`−${bound}`, box[0], top + 16);
     ink.fillText(`+${bound}`, left + wide + 8, top + 16);
     ink.textAlign = "right";
@@ -31,7 +32,7 @@ function shapePlane(box, labels) { // box: left, top, width, height in the canva
       ink.fillStyle = `rgb(${colour(2 * x / (wide - 1) - 1).map(Math.round)})`;
       ink.fillRect(left + x, top, 1, 20);
     }
-    ink.strokeStyle = ink.fillStyle = "#1d2733";
+    ink.strokeStyle = ink.fillStyle = look.ink;
     ink.strokeRect(left, top, wide, 20);
     ink.textAlign = "center";
     ink.fillText("0", left + wide / 2, top + 17);
@@ -40,7 +41,7 @@ function shapePlane(box, labels) { // box: left, top, width, height in the canva
     const tick = (v) => String(Number(v.toPrecision(2)));
     ink.save();
     ink.lineWidth = 1;
-    ink.fillStyle = ink.strokeStyle = "#1d2733";
+    ink.fillStyle = ink.strokeStyle = look.ink;
     ink.strokeRect(...box);
     ink.textAlign = "center";
     ink.fillText(labels[0], box[0] + box[2] / 2, box[1] + box[3] + 48);

@@ -22,10 +22,9 @@ from ...common.waiting import Wait
 from ...system.system import System
 from ..motion_source import MotionSource
 from .drawn_bodies import Bodies, drawn_bodies
-from .framing import frame
-from .playback import Playback, playback
-from .shape_panel import ShapePanel, shape_panel
-from .view_options import View
+from .playback import Playback, ShapePanel, playback, shape_panel
+from .scene_nodes import frame
+from .view_options import LOOK, View
 
 # The page contains the viewer, so it must contain the viewer's licences.
 _LICENCES = ("viewer/LICENSE", "viewer/dist/main.min.js.THIRD_PARTY_LICENSES.json")
@@ -37,8 +36,7 @@ def page(source: MotionSource, view: View) -> bytes:
     """Build the HTML page that plays a motion. Raises the same errors as `playback`."""
     film = playback(source, view)
     bodies = drawn_bodies(film.system, meshes=view.meshes)
-    pair = None if view.pair is None else (view.pair[0], view.pair[1])
-    panel = shape_panel(film.system, film.x, film.xdot, pair)
+    panel = shape_panel(film.system, film.x, film.xdot, view.pair)
     blob = Blob()
     head = _head(film, bodies, panel, view, blob)
     return assemble(resource("page.html"), head, blob, map(resource, _SCRIPTS))
@@ -114,25 +112,9 @@ def _head(
     film: Playback, bodies: Bodies, panel: ShapePanel | None, view: View, blob: Blob
 ) -> dict[str, Any]:
     """Return the data of the page's script, with arrays moved to the blob."""
-    framing = frame(film, bodies)
-    placed = plain_fields(framing)
     largest = float(np.linalg.norm(film.momentum.vector, axis=1).max())
-    ghost = None
-    if film.ghost is not None:
-        ghost = {
-            "placements": blob.add(film.ghost.placements),
-            "apart": blob.add(film.ghost.apart),
-            "aside": placed["aside"],
-        }
-    sphere = None
-    if film.sphere is not None:
-        sphere = {
-            "joint": film.sphere.joint,
-            "body": film.sphere.body,
-            "path": blob.add(film.sphere.path),
-        }
     return (
-        placed
+        plain_fields(frame(film, bodies))
         | robot_head(film.system, bodies, blob)
         | {
             "speed": view.speed,
@@ -140,25 +122,20 @@ def _head(
             "placements": blob.add(film.placements),
             "com": blob.add(film.com),
             "ellipsoid": blob.add(film.ellipsoid),
-            "momentum": {
-                "vector": blob.add(film.momentum.vector),
-                "tail": blob.add(film.momentum.tail),
-                "words": film.momentum.words,
-                "unit": film.momentum.unit,
-                "largest": largest,
-            },
-            "ghost": ghost,
+            "momentum": {**_packed_fields(film.momentum, blob), "largest": largest},
+            "ghost": film.ghost and _packed_fields(film.ghost, blob),
             "impacts": _plain(film.impacts),
-            "sphere": sphere,
-            "panel": None if panel is None else _panel(panel, blob),
+            "sphere": film.sphere and _packed_fields(film.sphere, blob),
+            "panel": panel and {**_packed_fields(panel, blob), "fine": panel.field.shape[-1]},
         }
     )
 
 
 def robot_head(system: System, bodies: Bodies, blob: Blob) -> dict[str, Any]:
-    """Return the robot's names and shapes for `stage.js`, with arrays moved to the blob."""
+    """Return the robot's names, shapes and look for `stage.js`, with arrays moved to the blob."""
     balls, names = {joint.name for joint in system.space.balls}, list(system.sorted_model.names)
     return {
+        "look": vars(LOOK),
         "title": system.name or "robot",
         "note": bodies.note,
         "joints": names,
@@ -176,15 +153,11 @@ def plain_fields(value: object) -> dict[str, Any]:
     return {name: _plain(entry) for name, entry in vars(value).items()}
 
 
-def _panel(panel: ShapePanel, blob: Blob) -> dict[str, Any]:
+def _packed_fields(value: object, blob: Blob) -> dict[str, Any]:
+    """Return the fields of a dataclass with arrays moved to the blob."""
     return {
-        "labels": panel.labels,
-        "path": blob.add(panel.path),
-        "low": _plain(panel.low),
-        "high": _plain(panel.high),
-        "components": panel.components,
-        "fine": panel.field.shape[-1],
-        "field": blob.add(panel.field),
+        name: blob.add(entry) if isinstance(entry, np.ndarray) else entry
+        for name, entry in vars(value).items()
     }
 
 

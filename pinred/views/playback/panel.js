@@ -1,11 +1,12 @@
 // The shape panel: the path of two joints over the curvature of the connection.
 "use strict";
-function shapePanel(panel, array, mix, canvas, picker, redraw) {
+function shapePanel(panel, look, array, mix, canvas, picker, redraw) {
   const pen = canvas.getContext("2d"), box = [64, 46, 436, 372]; // left, top, width, height
   const path = array(panel.path), field = array(panel.field);
-  const across = (v, i) => (v - panel.low[i]) / (panel.high[i] - panel.low[i]);
+  const low = array(panel.low), high = array(panel.high);
+  const across = (v, i) => (v - low[i]) / (high[i] - low[i]);
   const px = (a) => box[0] + box[2] * across(a, 0), py = (b) => box[1] + box[3] * (1 - across(b, 1));
-  const plane = shapePlane(box, panel.labels);
+  const plane = shapePlane(box, panel.labels, look);
   let backdrop = null;
   function paintBackdrop() {
     const layer = document.createElement("canvas");
@@ -16,7 +17,7 @@ function shapePanel(panel, array, mix, canvas, picker, redraw) {
       const n = panel.fine, c = Number(picker.value || 0);
       plane.paintField(ink, n, field.subarray(c * n * n, (c + 1) * n * n), panel.components[c]);
     }
-    plane.paintAxes(ink, panel.low, panel.high);
+    plane.paintAxes(ink, low, high);
     ink.beginPath();
     for (let i = 0; i < path.length; i += 2) ink.lineTo(px(path[i]), py(path[i + 1]));
     ink.lineWidth = 2;
@@ -37,11 +38,11 @@ function shapePanel(panel, array, mix, canvas, picker, redraw) {
     const [a, b] = mix(path, 2, k, s);
     pen.lineTo(px(a), py(b));
     pen.lineWidth = 3;
-    pen.strokeStyle = "#111";
+    pen.strokeStyle = look.mass[0];
     pen.stroke();
     pen.beginPath();
     pen.arc(px(a), py(b), 9, 0, 2 * Math.PI);
-    pen.fillStyle = "#f0e442";
+    pen.fillStyle = look.point;
     pen.fill();
     pen.stroke();
   };

@@ -2,7 +2,7 @@
 "use strict";
 (() => {
   const { head, array } = readPage();
-  const at = stage(head, array), { THREE, $, viewer, node, put, reduced, draws, on, set } = at;
+  const at = stage(head, array), { THREE, $, viewer, node, put, reduced, draws, look, on, set } = at;
 
   const times = array(head.t), count = times.length, end = times[count - 1];
   const com = array(head.com);
@@ -13,12 +13,12 @@
   const momentum = array(head.momentum.vector), tail = array(head.momentum.tail);
   const still = head.momentum.largest === 0;
 
-  const shade = new THREE.MeshPhongMaterial({ color: 0x0072b2, opacity: 0.38, transparent: true,
+  const shade = new THREE.MeshPhongMaterial({ color: look.ghost[0], opacity: look.ghost[1], transparent: true,
     side: THREE.DoubleSide, flatShading: true });
   const ghost = ghostPoses ? at.robot("Ghost", () => shade) : [];
 
   const hull = new THREE.Group();
-  hull.add(draws.shell(0x56b4e9, 0.13), ...draws.rings(0x1f6fa8));
+  hull.add(draws.shell(look.inertia), ...draws.rings(look.inertia_rings));
   hull.matrixAutoUpdate = false;
   put(hull, "Locked inertia");
 
@@ -26,20 +26,19 @@
   if (sphere) put(sphere, "Momentum sphere");
 
   const gravity = new THREE.Vector3(...head.gravity), heavy = gravity.length() > 0;
-  const weight = heavy && draws.pointer(gravity, 0.5 * head.radius, 0x8c510a, "g");
-  if (heavy) put(at.seenThrough(weight, 3), "Gravity");
+  const weight = heavy && draws.weight(gravity);
+  if (heavy) put(at.seenThrough(weight.object, 3), "Gravity");
 
   const sparks = new Map(); // joint: its flash and the times of its impacts
   for (const [time, joint] of head.impacts) {
     if (!sparks.has(joint)) {
-      const glow = new THREE.MeshBasicMaterial({ color: 0xd55e00, transparent: true, opacity: 0 });
-      const ball = new THREE.Mesh(new THREE.SphereGeometry(0.1 * head.radius, 20, 14), glow);
+      const ball = draws.dot(look.impact);
       put(at.seenThrough(ball, 6), "Impacts", `${joint}`);
       sparks.set(joint, { ball, times: [] });
     }
     sparks.get(joint).times.push(time);
   }
-  const fade = 0.25 * head.speed; // time of the motion in which a flash fades [s]
+  const fade = look.fade * head.speed; // time of the motion in which a flash fades [s]
   function flash(t) {
     for (const [joint, { ball, times: hits }] of sparks) {
       const last = hits.filter((time) => time <= t).pop();
@@ -54,7 +53,7 @@
   const stub = new THREE.BufferGeometry(); // from the last frame to the current CoM
   stub.setAttribute("position", new THREE.BufferAttribute(new Float32Array(6), 3));
   for (const part of [track, stub]) {
-    const line = new THREE.Line(part, new THREE.LineBasicMaterial({ color: 0x111111 }));
+    const line = new THREE.Line(part, new THREE.LineBasicMaterial({ color: look.mass[0] }));
     line.frustumCulled = false; // its drawn range changes
     trail.add(line);
   }
@@ -76,7 +75,7 @@
     object.position.set(...[0, 1, 2].map((i) => all[here + i] * (1 - s) + all[next + i] * s));
     object.quaternion.fromArray(all, here + 3).slerp(new THREE.Quaternion().fromArray(all, next + 3), s);
   }
-  let aside = head.ghost ? head.ghost.aside : [0, 0, 0];
+  const aside = head.aside;
   function draw(t) {
     const [k, s] = locate(t);
     reduced.forEach((object, i) =>
@@ -92,7 +91,7 @@
     at.point(mix(tail, 3, k, s), vector, head.momentum.largest);
     at.markJoints(c);
     flash(t);
-    if (heavy) weight.position.fromArray(c.map((value, i) => value + head.gravity_at[i]));
+    if (heavy) weight.centre(c.map((value, i) => value + head.gravity_at[i]));
     if (sphere) {
       sphere.position.fromArray(mix(tail, 3, k, s));
       sphere.quaternion.copy(reduced[head.sphere.joint].quaternion);
@@ -118,7 +117,7 @@
   }
 
   const picture = head.panel && shapePanel(
-    head.panel, array, mix, ...document.querySelectorAll("#panel canvas, #panel select"),
+    head.panel, look, array, mix, ...document.querySelectorAll("#panel canvas, #panel select"),
     () => draw(now));
 
   // -- the camera ---------------------------------------------------------------------------
@@ -133,10 +132,10 @@
     }
     if (!chosen.side && at.cramped()) details.open = false;
   }
-  const refit = () => { if (at.moved) at.aim(); else look(); };
-  function look() {
+  const refit = () => { if (at.moved) at.aim(); else frameAll(); };
+  function frameAll() {
     const side = on["Ghost"] && on["Ghost beside"] ? aside.map((v) => v / 2) : [0, 0, 0];
-    at.look((on["Follow"] ? head.reach : head.span) + Math.hypot(...side), side);
+    at.frameBall((on["Follow"] ? head.reach : head.span) + Math.hypot(...side), side);
   }
 
   // -- controls -----------------------------------------------------------------------------
@@ -145,25 +144,25 @@
   toggle("Robot", "robot", "", true, set("Robot"));
   toggle("See-through", "see-through robot", "", false, at.seeThrough);
   if (ghostPoses) {
-    toggle("Ghost", "ghost: full ABA", "#0072b2", true, (v) => { set("Ghost")(v); look(); });
-    toggle("Ghost beside", "ghost beside, not over", "", true, look);
+    toggle("Ghost", "ghost: full ABA", look.ghost[0], true, (v) => { set("Ghost")(v); frameAll(); });
+    toggle("Ghost beside", "ghost beside, not over", "", true, frameAll);
   }
-  toggle("Locked inertia", "locked inertia", "#56b4e9", true, set("Locked inertia"));
-  if (!still) toggle("Momentum", "momentum", "#d55e00", true, set("Momentum"));
-  if (sphere) toggle("Momentum sphere", `momentum seen from ${head.sphere.body}`, "#aa3377", true, set("Momentum sphere"));
-  if (at.balls.length) toggle("Ball joints", "ball joints", "#7b4fa3", true, set("Ball joints"));
-  if (heavy) toggle("Gravity", `gravity: ${Number(gravity.length().toPrecision(4))} m/s²`, "#8c510a", true, set("Gravity"));
-  toggle("Base frame", "base frame", "#009e73", true, set("Base frame"));
-  toggle("CoM trail", "centre of mass and its trail", "#111", true, set("CoM trail"));
+  toggle("Locked inertia", "locked inertia", look.inertia[0], true, set("Locked inertia"));
+  if (!still) toggle("Momentum", "momentum", look.momentum[0], true, set("Momentum"));
+  if (sphere) toggle("Momentum sphere", `momentum seen from ${head.sphere.body}`, look.sphere[0], true, set("Momentum sphere"));
+  if (at.balls.length) toggle("Ball joints", "ball joints", look.ball[0], true, set("Ball joints"));
+  if (heavy) toggle("Gravity", `gravity: ${Number(gravity.length().toPrecision(4))} m/s²`, look.gravity[0], true, set("Gravity"));
+  toggle("Base frame", "base frame", look.axes[1], true, set("Base frame"));
+  toggle("CoM trail", "centre of mass and its trail", look.mass[0], true, set("CoM trail"));
   if (picture)
-    toggle("Shape", "shape and curvature", "#f0e442", true, (v) => {
+    toggle("Shape", "shape and curvature", look.point, true, (v) => {
       $("panel").hidden = !v;
       if (started) fold.open = chosen.panel = true;
       refit();
     });
   else $("panel").hidden = true;
-  toggle("Grid", "grid", "#8a97a5", true, set("Grid"));
-  toggle("Follow", "follow the centre of mass", "", head.follow, look);
+  toggle("Grid", "grid", look.grid_mark, true, set("Grid"));
+  toggle("Follow", "follow the centre of mass", "", head.follow, frameAll);
 
   let now = times[0], playing = true, speed = head.speed, last = null;
   const setPlaying = (value) => {
@@ -209,7 +208,7 @@
   started = true;
   draw(now); // writes the texts whose size tidy() measures
   tidy();
-  look();
+  frameAll();
   draw(now);
   requestAnimationFrame(step);
   const show = (t) => { setPlaying(false); now = Math.min(end, Math.max(times[0], t)); draw(now); };

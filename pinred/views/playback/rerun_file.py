@@ -15,15 +15,13 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import OutputError
 from ...common.files import check_path, write_atomic
-from ...common.optional_packages import install_command, optional_package
+from ...common.installation import install_command, optional_package
 from ...common.waiting import Wait
 from ...lie.rotations import rotation
 from ..motion_source import MotionSource
-from .drawn_bodies import PALETTE, drawn_bodies
-from .framing import Framing, camera, frame
+from .drawn_bodies import PALETTE, drawn_bodies, facets, vertex_normals
 from .playback import Playback, playback
-from .scene_nodes import Node, Part, scene_nodes
-from .solid_meshes import facets, vertex_normals
+from .scene_nodes import Framing, Node, Part, camera, frame, scene_nodes
 from .view_options import View
 from .viser_player import refuse_pair
 

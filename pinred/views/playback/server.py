@@ -18,6 +18,7 @@ from numbers import Integral
 from typing import Any
 
 from ...common.errors import InputError, OutputError
+from ...common.waiting import in_notebook
 
 HOST = "127.0.0.1"
 _HEIGHT = 520  # initial height of a page in a notebook cell, whose user can resize it [px]
@@ -215,7 +216,5 @@ def inline_frame(content: bytes) -> str:
 
 def is_notebook() -> bool:
     """Return whether the process is the kernel of a notebook, which displays results as HTML."""
-    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
-    if getattr(shell, "kernel", None) is not None:
-        return True
-    return bool(getattr(sys.modules.get("marimo"), "running_in_notebook", lambda: False)())
+    marimo = sys.modules.get("marimo")
+    return in_notebook() or bool(getattr(marimo, "running_in_notebook", lambda: False)())

@@ -7,12 +7,12 @@ function readPage() { // the numbers that page.py writes into the page
 }
 function stage(head, array) {
   const THREE = MeshCat.THREE, $ = (id) => document.getElementById(id);
-  const radius = head.radius; // of a ball about the centre of mass that contains the robot
+  const look = head.look, radius = head.radius; // of a ball about the centre of mass that contains the robot
 
   // -- the viewer ---------------------------------------------------------------------------
   const viewer = new MeshCat.Viewer($("meshcat-pane"));
-  viewer.set_property(["Background"], "top_color", [0.70, 0.79, 0.88]);
-  viewer.set_property(["Background"], "bottom_color", [0.42, 0.52, 0.64]);
+  viewer.set_property(["Background"], "top_color", look.background[0]);
+  viewer.set_property(["Background"], "bottom_color", look.background[1]);
   viewer.delete_path(["Axes"]);
   const node = (...path) => viewer.scene_tree.find(path).object;
   node("Lights", "AmbientLight", "<object>").intensity = 0.52; // lower than the default, so that white robots have shades
@@ -64,7 +64,7 @@ function stage(head, array) {
   });
 
   // -- overlays -----------------------------------------------------------------------------
-  const draws = overlays(THREE, radius), { flat, rod } = draws;
+  const draws = overlays(THREE, radius, look);
   function seenThrough(object, order) {
     object.traverse((part) => {
       if (part.material) Object.assign(part.material, { depthTest: false, transparent: true });
@@ -73,13 +73,10 @@ function stage(head, array) {
     return object;
   }
 
-  const arrow = new THREE.Group();
-  const shaft = new THREE.Mesh(rod(0.016 * radius), flat(0xd55e00));
-  const tip = new THREE.Mesh(new THREE.ConeGeometry(0.05 * radius, 0.17 * radius, 24), flat(0xd55e00));
-  arrow.add(shaft, tip);
-  put(seenThrough(arrow, 3), "Momentum");
+  const arrow = draws.arrow(look.momentum);
+  put(seenThrough(arrow.object, 3), "Momentum");
 
-  const frame = draws.axes(0.5 * radius, 0.013 * radius);
+  const frame = draws.axes(look.base_axes);
   put(seenThrough(frame, 2), "Base frame");
 
   const balls = head.balls.map((joint) => {
@@ -87,19 +84,13 @@ function stage(head, array) {
     return [joint, put(seenThrough(marker, 2), "Ball joints", `${joint}`)];
   });
   const dot = new THREE.Group(); // in a group, so that its renderOrder is compared with the arrow's
-  dot.add(new THREE.Mesh(new THREE.SphereGeometry(0.03 * radius, 20, 14), flat(0x111111)));
+  dot.add(draws.dot(look.mass));
   put(seenThrough(dot, 5), "CoM trail", "CoM");
 
-  const up = new THREE.Vector3(0, 1, 0);
   function point(tail, vector, largest) { // the arrow; its length is relative to the largest vector
     const along = new THREE.Vector3(...vector), size = along.length();
-    arrow.visible = size > 0;
-    if (!arrow.visible) return;
-    const length = 1.25 * radius * size / largest;
-    arrow.position.fromArray(tail);
-    arrow.quaternion.setFromUnitVectors(up, along.divideScalar(size));
-    shaft.scale.y = Math.max(1e-9, length - 0.17 * radius);
-    tip.position.y = length - 0.085 * radius;
+    arrow.object.visible = size > 0;
+    if (size > 0) arrow.point(tail, along, look.arrow_length * radius * size / largest);
   }
   function markJoints(com) { // overlays that move with joints and the centre of mass
     for (const [joint, marker] of balls) {
@@ -123,7 +114,7 @@ function stage(head, array) {
       for (const [a, b] of [[i, j], [i, j + 1], [j, i], [j + 1, i]]) {
         const x = a * cell - wide, y = b * cell - wide;
         corners.push(...row.clone().multiplyScalar(x).addScaledVector(column, y).toArray());
-        tints.push(0.22, 0.30, 0.40, Math.max(0, 1 - (x * x + y * y) / (wide * wide)));
+        tints.push(...look.grid, Math.max(0, 1 - (x * x + y * y) / (wide * wide)));
       }
   const sides = new THREE.BufferGeometry();
   sides.setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
@@ -171,20 +162,20 @@ function stage(head, array) {
     }
     return best;
   }
-  const cramped = () => free().least < 0.55 * Math.min(innerWidth, innerHeight);
+  const cramped = () => free().least < look.cramped * Math.min(innerWidth, innerHeight);
   function aim() { // put the centre of the picture into the centre of the free area
     const w = innerWidth, h = innerHeight, area = free();
-    viewer.camera.fov = 30;
+    viewer.camera.fov = look.fov;
     viewer.camera.setViewOffset(w, h, w / 2 - area.x, h / 2 - area.y, w, h);
     viewer.set_dirty();
     return area;
   }
-  function look(reach, side = [0, 0, 0]) { // frame a ball of radius `reach`, `side` away from the followed point
+  function frameBall(reach, side = [0, 0, 0]) { // frame a ball of radius `reach`, `side` away from the followed point
     const camera = viewer.camera, area = aim();
     moved = false;
-    const least = Math.max(area.least, 0.2 * Math.min(innerWidth, innerHeight)); // cards may cover the whole window
+    const least = Math.max(area.least, look.least_area * Math.min(innerWidth, innerHeight)); // cards may cover the whole window
     const half = Math.atan(Math.tan(camera.fov * Math.PI / 360) * least / innerHeight);
-    const far = 1.02 * reach / Math.sin(half);
+    const far = look.margin * reach / Math.sin(half);
     viewer.controls.target.copy(followed).add(toCamera(side));
     camera.position.copy(toCamera(head.eye)).multiplyScalar(far).add(viewer.controls.target);
     camera.near = far / 1000;
@@ -243,7 +234,7 @@ function stage(head, array) {
   }
   return {
     THREE, $, radius, viewer, node, put, robot, reduced, draws, seenThrough, point, markJoints, lay, carry, free,
-    cramped, aim, look, pace, rest, on, starts, set, toggle, seeThrough, showTitle, project, balls,
+    cramped, aim, frameBall, pace, look, rest, on, starts, set, toggle, seeThrough, showTitle, project, balls,
     get moved() { return moved; },
   };
 }

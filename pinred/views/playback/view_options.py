@@ -1,11 +1,11 @@
-"""View: options for drawing a motion."""
+"""View: options for drawing a motion.  Look: its colours and sizes, equal in all viewers."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, TypeAlias, TypedDict
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import positive
@@ -20,6 +20,73 @@ VIEWERS = {  # {name: description}
 VIEWER = "pinred"  # the default viewer
 FPS = 60.0  # default frames per second of playback
 FILM_FPS = 25.0  # default frames per second of films, whole hundredths of a second as gifs have
+
+
+ArrowLook: TypeAlias = tuple[str, float, float, float]
+
+
+@dataclass(frozen=True)
+class Look:
+    """Colours "#rrggbb" and sizes of what pages and films draw; lengths are in radii of the robot.
+
+    Attributes:
+        background: Colours at the top and at the bottom, from 0 to 1.
+        grid: Colour of the grid, from 0 to 1.
+        grid_mark: Colour of the grid in the legend.
+        ghost: Colour and opacity of the full simulation.
+        inertia: Colour and opacity of the ellipsoid of the locked inertia.
+        inertia_rings: Colour and opacity of its equators.
+        sphere: Colour and opacity of the momentum sphere; its path has the same colour.
+        sphere_rings: Colour and opacity of its equators.
+        momentum: Of the momentum arrow: colour, radii of shaft and tip, and length of the tip.
+        arrow_length: Largest length of the momentum arrow, and radius of the momentum sphere.
+        gravity: The same of the gravity arrow.
+        gravity_length: Length of the gravity arrow.
+        axes: Colours of the axes x, y and z of frames.
+        base_axes: Length and radius of the axes of the base.
+        ball_axes: Length and radius of the axes of bodies on ball joints.
+        ball: Colour and radius of the mark of a ball joint.
+        mass: Colour and radius of the centre of mass; its trail has the same colour.
+        impact: Colour and radius of the flash of an impact.
+        fade: Time in which a flash fades, at the film's speed [s].
+        field: Colours of the most negative and positive values of the curvature.
+        point: Colour of the current point in the shape panel.
+        ink: Colour of words and axes.
+        fov: Vertical field of view [deg].
+        margin: Distance of the camera, relative to the least one that shows everything.
+        cramped: Least free area beside cards, relative to the window; in smaller ones, cards fold.
+        least_area: Least free area for which the distance of the camera is computed.
+    """
+
+    background: tuple[Sequence[float], Sequence[float]] = ((0.70, 0.79, 0.88), (0.42, 0.52, 0.64))
+    grid: Sequence[float] = (0.22, 0.30, 0.40)
+    grid_mark: str = "#8a97a5"
+    ghost: tuple[str, float] = ("#0072b2", 0.38)
+    inertia: tuple[str, float] = ("#56b4e9", 0.1)
+    inertia_rings: tuple[str, float] = ("#1f6fa8", 0.55)
+    sphere: tuple[str, float] = ("#aa3377", 0.08)
+    sphere_rings: tuple[str, float] = ("#8a6d80", 0.55)
+    momentum: ArrowLook = ("#d55e00", 0.016, 0.05, 0.17)
+    arrow_length: float = 1.25
+    gravity: ArrowLook = ("#8c510a", 0.012, 0.048, 0.15)
+    gravity_length: float = 0.5
+    axes: tuple[str, str, str] = ("#cc3311", "#009e73", "#0055cc")
+    base_axes: tuple[float, float] = (0.5, 0.013)
+    ball_axes: tuple[float, float] = (0.13, 0.008)
+    ball: tuple[str, float] = ("#7b4fa3", 0.035)
+    mass: tuple[str, float] = ("#111111", 0.03)
+    impact: tuple[str, float] = ("#d55e00", 0.1)
+    fade: float = 0.25
+    field: tuple[str, str] = ("#0072b2", "#d55e00")
+    point: str = "#f0e442"
+    ink: str = "#1d2733"
+    fov: float = 30.0
+    margin: float = 1.02
+    cramped: float = 0.55
+    least_area: float = 0.2
+
+
+LOOK = Look()
 
 
 @checks_arguments

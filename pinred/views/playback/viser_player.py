@@ -18,13 +18,21 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ...common.optional_packages import install_command, optional_package
+from ...common.installation import install_command, optional_package
 from ...lie.rotations import rotation
 from ..motion_source import MotionSource
 from .drawn_bodies import drawn_bodies
-from .framing import Framing, camera, frame
 from .playback import playback
-from .scene_nodes import Node, Part, interpolate, interpolate_placements, scene_nodes
+from .scene_nodes import (
+    Framing,
+    Node,
+    Part,
+    camera,
+    frame,
+    interpolate,
+    interpolate_placements,
+    scene_nodes,
+)
 from .server import HOST, Player, check_port
 from .view_options import View
 

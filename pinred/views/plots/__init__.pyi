@@ -7,9 +7,9 @@ from .connection_field import curvature as curvature
 from .connection_field import field as field
 from .gait_cycles import cycles as cycles
 from .gait_cycles import loop as loop
-from .momentum_sphere import sphere as sphere
-from .phase_portrait import phase as phase
-from .poincare_section import poincare as poincare
+from .phase_space import phase as phase
+from .phase_space import poincare as poincare
+from .phase_space import sphere as sphere
 from .sweep_figures import heatmap as heatmap
 from .sweep_figures import histogram as histogram
 from .sweep_figures import quantiles as quantiles

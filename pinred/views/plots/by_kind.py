@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from collections.abc import Sequence
 from inspect import unwrap
-from typing import TYPE_CHECKING, Any, Literal, overload
-
-from ...common.argument_kinds import checks_arguments, shows_overloads
+from typing import TYPE_CHECKING
+from typing import Any
+from typing import Literal
+from typing import overload
+from ...common.argument_kinds import checks_arguments
+from ...common.argument_kinds import shows_overloads
 from ...common.errors import InputError
 from .. import plots
 
@@ -24,8 +28,7 @@ if TYPE_CHECKING:
     from ...planning.reorientation.turning_loop import TurnPlan
     from ...simulation.trajectory import Trajectory
     from ..motion_source import MotionSource
-    from .connection_field import Part, Source
-    from .shape_plane import Limits
+    from .connection_field import Limits, Part, Source
     from .time_series import Attitudes
     from .work_against_error import MeasuredWork
 

@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from ...common.arrays import Array
+from ..playback.view_options import LOOK
 
 P = ParamSpec("P")
 
@@ -35,8 +36,10 @@ DASHES: tuple[Any, ...] = (
 )
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 FIELD = "cividis"  # colour map that is also readable in grey
-# Colour map of values of both signs, white at zero: the colours of playback (field.js).
-SIGNED = LinearSegmentedColormap.from_list("pinred_signed", (BLUE, "#FFFFFF", RED))
+# Colour map of values of both signs, white at zero: the colours of playback (Look.field).
+SIGNED = LinearSegmentedColormap.from_list(
+    "pinred_signed", (LOOK.field[0], "#FFFFFF", LOOK.field[1])
+)
 WIDTH = 6.4  # text width of a page [in]
 _LETTERS = 13.0  # number of letters of a title in an inch
 PANEL = 1.9  # height of a panel in a figure with several panels [in]

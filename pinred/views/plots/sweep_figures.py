@@ -38,8 +38,8 @@ def histogram(source: Dataset, *, output: str | None = None) -> Figure:
     Raises:
         InputError: The output does not exist, or has more than one number for each point.
     """
-    name, values, _ = _chosen(source, output)
-    drawing = figure(f"{source.attrs.get('robot', 'sweep')}: {name}", height=3.2)
+    name, values, _, title = _chosen(source, output)
+    drawing = figure(title, height=3.2)
     axes: Axes = drawing.subplots()
     low, high = float(values.min()), float(values.max())
     size = max(abs(low), abs(high))
@@ -74,11 +74,9 @@ def scatter(
     Raises:
         InputError: A name does not exist, or the output has several numbers for each point.
     """
-    name, values, kept = _chosen(source, output)
+    name, values, kept, title = _chosen(source, output)
     names = _numbers(source, numbers)
-    drawing = figure(
-        f"{source.attrs.get('robot', 'sweep')}: {name}", height=0.6 + PANEL * len(names)
-    )
+    drawing = figure(title, height=0.6 + PANEL * len(names))
     step = -(-len(values) // _MOST_DOTS)
     for axes, number in zip(drawing.subplots(len(names), squeeze=False).flat, names, strict=True):
         axes.plot(source[number].values[kept][::step], values[::step], ".", color=BLUE, ms=2.0)
@@ -104,7 +102,7 @@ def heatmap(
         InputError: A name does not exist, there are not two numbers, or the output has several
             numbers for each point.
     """
-    name, values, kept = _chosen(source, output)
+    name, values, kept, title = _chosen(source, output)
     names = _numbers(source, numbers)[: None if numbers else 2]
     if len(names) != 2:
         raise InputError(f"numbers: expected two varied numbers, got {listed(names)}")
@@ -114,7 +112,7 @@ def heatmap(
     sums, *_ = np.histogram2d(columns[0], columns[1], bins=bins, weights=values)
     counts, *_ = np.histogram2d(columns[0], columns[1], bins=bins)
     means = np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0)
-    drawing = figure(f"{source.attrs.get('robot', 'sweep')}: {name}", height=0.75 * WIDTH)
+    drawing = figure(title, height=0.75 * WIDTH)
     axes: Axes = drawing.subplots()
     mesh = axes.pcolormesh(*edges, means.T, cmap=FIELD)
     drawing.colorbar(mesh, ax=axes).set_label(f"mean of {_label(source, name)}", parse_math=False)
@@ -141,8 +139,8 @@ def quantiles(
     Raises:
         InputError: A name does not exist, or the output has other dimensions.
     """
-    name, values, kept = _chosen(source, output, over_time=True)
-    drawing = figure(f"{source.attrs.get('robot', 'sweep')}: {name}", height=3.2)
+    name, values, kept, title = _chosen(source, output, over_time=True)
+    drawing = figure(title, height=3.2)
     axes: Axes = drawing.subplots()
     if values.ndim == 2:
         x, levels = source["t"].values, np.quantile(values, _LEVELS, axis=0)
@@ -165,8 +163,8 @@ def quantiles(
 
 def _chosen(
     source: Any, output: str | None, *, over_time: bool = False
-) -> tuple[str, Array, Array]:
-    """Return the name of an output, its finite values, and the mask of their points."""
+) -> tuple[str, Array, Array, str]:
+    """Return the name of an output, its finite values, the mask of their points, and a title."""
     admitted = [("point",), ("point", "t")] if over_time else [("point",)]
     if "status" not in getattr(source, "data_vars", ()):
         raise InputError(
@@ -189,7 +187,7 @@ def _chosen(
     kept = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
     if not kept.any():
         raise InputError(f"output: {quoted(output)} has no finite value")
-    return output, values[kept], kept
+    return output, values[kept], kept, f"{source.attrs.get('robot', 'sweep')}: {output}"
 
 
 def _numbers(source: Any, names: Sequence[str] | None) -> list[str]:

@@ -2,28 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Literal, TypeAlias, get_args
-
 import numpy as np
+from collections.abc import Mapping
+from collections.abc import Sequence
+from typing import Literal
+from typing import TypeAlias
+from typing import get_args
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...judge.audit import audit_trajectory
-from ...judge.compare import DRIFT_BOUND, compare
+from ...judge.compare import DRIFT_BOUND
+from ...judge.compare import compare
 from ...judge.verdict import Report
 from ...lie.groups import group_named
-from ...lie.rotations import rotation, unwrapped_rotation_vectors
+from ...lie.rotations import rotation
+from ...lie.rotations import unwrapped_rotation_vectors
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.passive import joint_limits
 from ...system.state_fields import FIELDS
 from ..motion_source import MotionSource
-from .motion_labels import Labels, labels
-from .style import legend, line, on_log, over_time, shown, steady, styled
+from .style import legend
+from .style import line
+from .style import on_log
+from .style import over_time
+from .style import shown
+from .style import steady
+from .style import styled
+from ..motion_source import Labels
+from ..motion_source import labels
 
 Attitudes: TypeAlias = Literal["quaternion", "vector", "rpy"]
 ATTITUDES: tuple[Attitudes, ...] = get_args(Attitudes)
@@ -44,14 +54,8 @@ def shape(motion: MotionSource, *, joints: Sequence[str | int] | None = None) ->
     Raises:
         InputError: Unknown joints, or a robot without joints.
     """
-    names = labels(motion)
-    names.require(1, "a plot of the shape")
-    x = motion.x
-    if x.shape[-1] != len(names.joints):  # draw the rotation vectors of balls
-        x = motion.system.space.chart(x)
-    title = f"{names.robot}: shape"
-    figure = _by_joint(title, names, motion.t, x, names.units, joints, what="shape ")
-    return _with_impacts(figure, motion)
+    names = _labels_of_joints(motion, "shape")
+    return _by_joint(motion, names, "shape", _chart(motion, names), names.units, joints, "shape ")
 
 
 @checks_arguments
@@ -67,11 +71,9 @@ def rates(motion: MotionSource, *, joints: Sequence[str | int] | None = None) ->
     Raises:
         InputError: Unknown joints, or a robot without joints.
     """
-    names = labels(motion)
-    names.require(1, "a plot of the rates")
+    names = _labels_of_joints(motion, "rates")
     units = [f"{unit}/s" for unit in names.units]
-    title = f"{names.robot}: joint rates"
-    return _with_impacts(_by_joint(title, names, motion.t, motion.xdot, units, joints), motion)
+    return _by_joint(motion, names, "joint rates", motion.xdot, units, joints)
 
 
 @checks_arguments
@@ -92,11 +94,22 @@ def torques(traj: Trajectory, *, joints: Sequence[str | int] | None = None) -> F
             f"a plot of the torques takes a Trajectory, got {type(traj).__name__}, which has no "
             "forces. Plot the torques of the robot or of its scene file"
         )
-    names = labels(traj)
-    names.require(1, "a plot of the torques")
+    names = _labels_of_joints(traj, "torques")
     units = ["N" if unit == "m" else "N·m" for unit in names.units]
-    title = f"{names.robot}: joint torques"
-    return _with_impacts(_by_joint(title, names, traj.t, traj.torques, units, joints), traj)
+    return _by_joint(traj, names, "joint torques", traj.torques, units, joints)
+
+
+def _labels_of_joints(motion: MotionSource, quantity: str) -> Labels:
+    """Return the labels of a motion.  Raises InputError for a robot without joints."""
+    names = labels(motion)
+    names.require(1, f"a plot of the {quantity}")
+    return names
+
+
+def _chart(motion: MotionSource, names: Labels) -> Array:
+    """Return the joint values, (T, m), with the rotation vectors of balls."""
+    x = motion.x
+    return x if x.shape[-1] == len(names.joints) else motion.system.space.chart(x)
 
 
 def _with_impacts(figure: Figure, motion: MotionSource) -> Figure:
@@ -110,17 +123,17 @@ def _with_impacts(figure: Figure, motion: MotionSource) -> Figure:
 
 
 def _by_joint(
-    title: str, names: Labels, t: Array, values: Array, units: Sequence[str],
+    motion: MotionSource, names: Labels, quantity: str, values: Array, units: Sequence[str],
     joints: Sequence[str | int] | None, what: str = "",
 ) -> Figure:  # fmt: skip
     """Draw values by joint, (T, m), over time in the panels of `shape`; `what` labels a panel."""
     panels = names.panels(joints)
-    drawing, axes_list = over_time(title, len(panels))
+    drawing, axes_list = over_time(f"{names.robot}: {quantity}", len(panels))
     for axes, panel in zip(axes_list, panels, strict=True):
         label = f"{names.joints[panel[0]]} " if len(panel) == 1 else what
         entries = [shown(names.joints[k]) for k in panel]
-        _lines(axes, t, values[:, panel], entries, f"{label}[{units[panel[0]]}]")
-    return drawing
+        _lines(axes, motion.t, values[:, panel], entries, f"{label}[{units[panel[0]]}]")
+    return _with_impacts(drawing, motion)
 
 
 @checks_arguments
@@ -144,9 +157,7 @@ def limits(motion: MotionSource, *, joints: Sequence[str | int] | None = None) -
     """
     names, stated = labels(motion), joint_limits(motion.system)
     chosen = [*range(len(names.joints))] if joints is None else names.indices(joints)
-    x = motion.x
-    if x.shape[-1] != len(names.joints):
-        x = motion.system.space.chart(x)
+    x = _chart(motion, names)
     quantities = {"position": (x, stated.position), "rate": (motion.xdot, stated.rate)}
     if isinstance(motion, Trajectory):
         quantities["torque"] = (motion.torques, stated.effort)

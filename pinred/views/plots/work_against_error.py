@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,26 +20,6 @@ _AGAINST = {
     "wall": ("wall time [ms]", 1e3),
     "evaluations": ("evaluations, or Taylor steps [1]", 1.0),
 }
-
-
-class MeasuredPoint(Protocol):
-    """Measured error and run time of one method at one tolerance.
-
-    Attributes:
-        tolerance: Relative tolerance.
-        error: Largest error at the end [rad | m].
-        wall: Time of one run [s].
-        evaluations: Number of evaluations of the vector field.
-    """
-
-    @property
-    def tolerance(self) -> float: ...  # noqa: D102
-    @property
-    def error(self) -> float: ...  # noqa: D102
-    @property
-    def wall(self) -> float: ...  # noqa: D102
-    @property
-    def evaluations(self) -> float: ...  # noqa: D102
 
 
 @runtime_checkable
@@ -59,8 +39,12 @@ class MeasuredWork(Protocol):
     @property
     def reference_error(self) -> float: ...  # noqa: D102
 
-    def of(self, method: str) -> Sequence[MeasuredPoint]:
-        """Return the measured points of one method."""
+    def of(self, method: str) -> Sequence[Any]:
+        """Return the measured points of one method.
+
+        A point has `tolerance`, the largest `error` at the end [rad | m], the `wall` time of a run
+        [s], and its `evaluations` of the vector field.
+        """
 
 
 @checks_arguments

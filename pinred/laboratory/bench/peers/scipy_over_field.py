@@ -13,7 +13,7 @@ from scipy.integrate import ode, odeint, solve_ivp
 
 from ....common.arrays import Array
 from ....common.errors import IntegrationError
-from ....common.interrupts import held_interrupt
+from ....common.waiting import held_interrupt
 from ..problems import Problem
 from ..solver import ATOL, End, PreparedRun, Solver, decades
 

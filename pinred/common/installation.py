@@ -1,4 +1,4 @@
-"""Import of optional packages, only when they are needed, and the command that installs them."""
+"""The installation: the version of pinred, and packages that are imported when they are needed."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from importlib.util import find_spec
 from typing import Any
 
 from .errors import MissingPackageError
+
+__version__ = "0.1.0"
 
 
 def install_command(extra: str) -> str:
