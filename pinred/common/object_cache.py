@@ -18,36 +18,23 @@ import re
 import stat
 import struct
 import warnings
-import llvmlite.binding as llvm
-from collections.abc import Callable
-from collections.abc import Iterator
-from collections.abc import Sequence
-from contextlib import contextmanager
-from contextlib import suppress
-from functools import cache
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import cache, partial
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import BinaryIO
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
+
+import llvmlite.binding as llvm
 from platformdirs import user_cache_path
-from .compile_ahead import ObjectAhead
-from .compile_ahead import Part
-from .compile_ahead import begin
-from .compile_ahead import spare_processors
-from .errors import CacheWarning
-from .errors import InputError
-from .files import TEMPORARY
-from .files import fingerprint
-from .files import signing_key
-from .files import sweep
-from .files import temporary
-from .waiting import notice_of_compiling
+
+from .compile_ahead import ObjectAhead, Part, begin, spare_processors
+from .errors import CacheWarning, InputError
+from .files import TEMPORARY, fingerprint, signing_key, sweep, temporary
 from .installation import __version__
-from .machine_code import LEVEL
-from .machine_code import code_level
-from .machine_code import cpu_target
+from .machine_code import LEVEL, code_level, cpu_target
+from .waiting import notice_of_compiling
 
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 

@@ -10,30 +10,26 @@ Exceptions in callbacks of compiled code would be lost, so `held_interrupt` dela
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
 import time
 import warnings
-import signal
-import threading
-from collections.abc import Callable
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
-from contextlib import ContextDecorator
-from contextlib import nullcontext
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import (
+    AbstractContextManager,
+    ContextDecorator,
+    contextmanager,
+    nullcontext,
+    suppress,
+)
 from html import escape
 from importlib import import_module
-from threading import Lock
-from threading import Thread
-from threading import get_ident
-from typing import Any
-from typing import Protocol
-from typing import TypeAlias
-from typing import TypeVar
-from .errors import InputError
-from collections.abc import Iterator
-from contextlib import contextmanager
+from threading import Lock, Thread, get_ident
 from types import FrameType
+from typing import Any, Protocol, TypeAlias, TypeVar
+
+from .errors import InputError
 
 _PATIENCE = 1.0  # time before the first line for a user who watches [s]
 _EVERY = 10.0  # time between lines [s]
@@ -412,6 +408,8 @@ def notice_of_compiling(what: str) -> Wait:
         what: What is compiled, such as "the equations of 'solo12'".
     """
     return Wait(f"compiles {what}; the next process finds the result in its cache")
+
+
 INTERRUPTED = 130  # exit code of shells for a process that SIGINT ends: 128 + SIGINT
 _reported = threading.Event()
 

@@ -8,44 +8,28 @@ cannot change, so keys contain the objects themselves.
 
 from __future__ import annotations
 
-import numpy as np
-from collections.abc import Callable
-from collections.abc import Hashable
-from collections.abc import Mapping
-from collections.abc import Sequence
-from types import BuiltinFunctionType
-from types import FunctionType
-from types import MethodType
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from types import BuiltinFunctionType, FunctionType, MethodType
 from typing import Any
+
+import numpy as np
+
+from ..common.argument_kinds import Default
 from ..common.errors import InputError
 from ..common.memo import recent
 from ..common.names import brief
-from ..common.parameter import Parameter
-from ..common.parameter import VectorParameter
-from ..common.parameter import parameters_in
-from ..common.parameter import values_of
+from ..common.parameter import Parameter, VectorParameter, parameters_in, values_of
 from ..reduction.potential import spring_pair
-from ..reduction.tree.free_bodies import NOTHING
-from ..reduction.tree.free_bodies import freed_of
+from ..reduction.tree.free_bodies import NOTHING, freed_of
 from ..system.model_parameters import ModelParameters
-from ..system.system import System
-from ..system.system import nominal
-from .controller import Actuation
-from .controller import Controller
-from .force import Force
-from .force import Limit
+from ..system.system import System, nominal
+from .controller import Actuation, Controller
+from .force import Force, Limit
 from .force_model import ForceModel
-from .kinds import Damper
-from .kinds import Friction
-from .kinds import Spring
-from .signals import Attitude
-from .signals import Constant
-from .signals import Expression
-from .signals import Signal
+from .kinds import Damper, Friction, Spring
+from .signals import Attitude, Constant, Expression, Signal
 from .signals.signal import Table
-from .tracking import Plan
-from .tracking import signals_of
-from ..common.argument_kinds import Default
+from .tracking import Plan, signals_of
 
 _PACKAGE = f"{__name__.partition('.')[0]}."
 PLAIN = frozenset({float, int, Default, np.float64, np.int64, str, bool, type(None)})

@@ -16,49 +16,36 @@ states occupy the lanes, identical branches of the robot are not packed into lan
 from __future__ import annotations
 
 import json
-import casadi as ca
-import numpy as np
-from collections.abc import Callable
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextvars import ContextVar
 from dataclasses import asdict
 from functools import partial
-from ..common.arrays import Array
+
+import casadi as ca
+import numpy as np
+
+from ..common.arrays import Array, central_differences
 from ..common.compile_ahead import spare_processors
-from ..common.errors import InputError
-from ..common.errors import KernelMismatch
-from ..common.machine_code import NativeCode
-from ..common.machine_code import load_object
+from ..common.errors import InputError, KernelMismatch
+from ..common.machine_code import NativeCode, load_object
 from ..common.memo import once
-from ..common.object_cache import ObjectCache
-from ..common.object_cache import cache_key
+from ..common.object_cache import ObjectCache, cache_key
 from ..forces.force_model import ForceModel
 from ..integrators.stepping import linear_systems
 from ..integrators.stepping.kernel_call import SEEDS
 from ..reduction.tree.articulated_sweep import sweep_jacobian
 from ..reduction.tree.body_frames import bodies_of
-from ..reduction.tree.identical_branches import Lanes
-from ..reduction.tree.identical_branches import Mark
+from ..reduction.tree.identical_branches import Lanes, Mark
 from ..reduction.tree.scalars import Mat
 from ..system.system import System
-from .build import model_bytes
-from .build import perturbed
-from .evaluate import call_value
-from .evaluate import evaluate
-from .kernel import Kernel
-from .kernel import Structure
-from .kernel import layout_of
-from .machine.native import compile_object
-from .machine.native import generate
-from .machine.native import lowered
+from .build import model_bytes, perturbed
+from .evaluate import call_value, evaluate
+from .kernel import Kernel, Structure, layout_of
+from .machine.native import compile_object, generate, lowered
 from .reduced_graph import ReducedGraph
-from .reference_state import ReferenceState
-from .reference_state import random_state
-from .validation import ROUND_OFF
-from .validation import require_agreement
-from .validation import trial_states
-from .validation import validate_rate
-from ..common.arrays import central_differences
+from .reference_state import ReferenceState, random_state
+from .validation import ROUND_OFF, require_agreement, trial_states, validate_rate
+
 
 def derived_code(
     kernel: Kernel,

@@ -37,8 +37,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..common.argument_kinds import call_function, checks_arguments
-from ..common.arrays import Array, FrozenArrays, as_floats, vector
-from ..common.differences import central_differences
+from ..common.arrays import Array, FrozenArrays, as_floats, central_differences, vector
 from ..common.errors import InputError, ShapeError, SingularInertiaError, SymmetryError
 from ..lie.group import Group
 from ..system.joints import axes_of

@@ -9,30 +9,26 @@ common/files.py.
 from __future__ import annotations
 
 import hmac
-import pickle
 import json
-import numpy as np
+import pickle
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import astuple, replace
+from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
+from types import CodeType, FunctionType
 from typing import Any
+
+import numpy as np
+
 from ..common.errors import InputError
-from ..common.files import TEMPORARY
-from ..common.files import fingerprint
-from ..common.files import read_plain_file
-from ..common.files import signing_key
-from ..common.files import write_atomic
-from ..common.names import brief
-from .sweep_job import SweepJob
-from dataclasses import astuple
-from hashlib import sha256
-from types import CodeType
-from types import FunctionType
+from ..common.files import TEMPORARY, fingerprint, read_plain_file, signing_key, write_atomic
 from ..common.installation import __version__
+from ..common.names import brief
 from ..kernels.build import model_bytes
 from ..scene.scene import Scene
 from ..simulation.members.member_groups import members_plan
+from .sweep_job import SweepJob
 
 _FILE = "scene.signed"
 _SIGNATURE = 32  # bytes of the HMAC-SHA256 of the sweep and the scene, at the start

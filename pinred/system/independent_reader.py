@@ -15,36 +15,26 @@ import re
 import subprocess
 import sys
 import tempfile
-import numpy as np
-import pinocchio as pin
-from collections.abc import Callable
-from collections.abc import Iterator
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
-from typing import TypeAlias
+from typing import Any, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+
 from ..common.arrays import Array
 from ..common.errors import LoadError
-from ..common.names import listed
-from ..common.names import plain_path
-from ..common.names import quoted
-from .joints import axes_of
-from .joints import joint_kind
-from .passive import UNLIMITED
-from .read_sdf import INSTALL
-from .read_sdf import SdfRobot
-from .read_sdf import drake_warnings
-from .read_sdf import read_sdf
-from .read_urdf import read_urdf
-from .read_urdf import with_other_joints
-from .rebuild import NewJoint
-from .rebuild import rebuild
-from .robot_files import outermost
-from .robot_files import read_text
-from .sdf_document import read_document
 from ..common.installation import optional_package
+from ..common.names import listed, plain_path, quoted
+from .joints import axes_of, joint_kind
+from .passive import UNLIMITED
+from .read_sdf import INSTALL, SdfRobot, drake_warnings, read_sdf
+from .read_urdf import read_urdf, with_other_joints
+from .rebuild import NewJoint, rebuild
+from .robot_files import outermost, read_text
+from .sdf_document import read_document
 
 _SAME = 1e-9  # largest difference of equal numbers, relative to the largest of their kind
 _SHAPES = 3  # number of configurations at which mass matrices are compared

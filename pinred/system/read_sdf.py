@@ -8,46 +8,28 @@ numbers of joints from the document.  One robot is everything that joints connec
 from __future__ import annotations
 
 import logging
-import numpy as np
-import pinocchio as pin
-from collections.abc import Iterator
-from collections.abc import Mapping
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
-from typing import TypeAlias
+from typing import Any, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+
 from ..common.arrays import Array
-from ..common.errors import ChoiceError
-from ..common.errors import InputError
-from ..common.errors import LoadError
-from ..common.errors import ModelError
-from ..common.names import listed
-from ..common.names import nearest
-from ..common.names import plain_path
-from ..common.names import quoted
+from ..common.errors import ChoiceError, InputError, LoadError, ModelError
+from ..common.installation import install_command, optional_package
+from ..common.names import listed, nearest, plain_path, quoted
 from .loops.loop import Loop
 from .passive import Spring
 from .read_urdf import FileRobot
-from .rebuild import PRISMATIC
-from .rebuild import REVOLUTE
-from .rebuild import ModelBuilder
-from .rebuild import joint_along
-from .robot_file_contents import Coupling
-from .robot_file_contents import LeftOut
-from .sdf_document import Axis
-from .sdf_document import BallConstraint
-from .sdf_document import JointWords
-from .sdf_document import SdfDocument
-from .sdf_document import read_document
-from .sdf_document import unread_type
+from .rebuild import PRISMATIC, REVOLUTE, ModelBuilder, joint_along
+from .robot_file_contents import Coupling, LeftOut
+from .sdf_document import Axis, BallConstraint, JointWords, SdfDocument, read_document, unread_type
 from .sdf_words import CONTACT
-from ..common.installation import install_command
-from ..common.installation import optional_package
 
 INSTALL = install_command("sdf")
 _ALIGNED = 1e-12  # largest deviation of an axis from x, y or z that counts as round-off

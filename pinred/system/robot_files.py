@@ -16,13 +16,8 @@ import re
 import sys
 import tempfile
 import tomllib
-import pinocchio as pin
-from collections.abc import Callable
-from collections.abc import Iterator
-from collections.abc import Mapping
-from collections.abc import Sequence
-from contextlib import contextmanager
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -35,22 +30,16 @@ from urllib.parse import unquote
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 from xml.parsers import expat
-from xml.sax.saxutils import escape
-from xml.sax.saxutils import quoteattr
+from xml.sax.saxutils import escape, quoteattr
+
+import pinocchio as pin
+
 from ..common.arrays import entries_of
-from ..common.errors import InputError
-from ..common.errors import LoadError
-from ..common.errors import ModelError
-from ..common.files import is_file
-from ..common.files import is_folder
-from ..common.names import brief
-from ..common.names import listed
-from ..common.names import plain_path
-from ..common.names import quoted
-from ..common.names import quoted_path
-from .loops.loop import Constraint
-from .loops.loop import parse_loops
+from ..common.errors import InputError, LoadError, ModelError
+from ..common.files import is_file, is_folder
 from ..common.installation import install_command
+from ..common.names import brief, listed, plain_path, quoted, quoted_path
+from .loops.loop import Constraint, parse_loops
 
 EVERYTHING = re.compile(rb".+", re.DOTALL)  # matches all output, as one text
 _STDERR = 2

@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
-import pytest
-import pinred
-from collections.abc import Callable
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from cassie import cassie
-from cassie import cassie_path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from cassie import cassie, cassie_path
 from constraint_dynamics import constraint_dynamics
-from loop_robots import four_bar
-from loop_robots import gripper
-from loop_robots import planar_legs
-from loop_robots import random_loops
+from loop_robots import four_bar, gripper, planar_legs, random_loops
 from scipy.integrate import solve_ivp
+
+import pinred
 from pinred.common.arrays import Array
-from pinred.common.errors import InputError
-from pinred.common.errors import IntegrationError
-from pinred.common.errors import KernelMismatch
+from pinred.common.errors import InputError, IntegrationError, KernelMismatch
 from pinred.kernels import validation
 from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
 from pinred.system.loops.kinematics import loop_values
-from pinred.system.loops.loop import Loop
-from pinred.system.loops.loop import LoopKind
+from pinred.system.loops.loop import Loop, LoopKind
 from pinred.views.playback.playback import shape_panel
+
 
 def linkage() -> pinred.System:
     """Return the four-bar linkage."""

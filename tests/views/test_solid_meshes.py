@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+
 from pinred.common.arrays import Array
 from pinred.system.urdf_shapes import Mesh
-from pinred.views.playback.drawn_bodies import Solid
+from pinred.views.playback.drawn_bodies import Solid, facets, solid_mesh, vertex_normals
 from pinred.views.playback.scene_nodes import interpolate_placements
-from pinred.views.playback.drawn_bodies import facets
-from pinred.views.playback.drawn_bodies import solid_mesh
-from pinred.views.playback.drawn_bodies import vertex_normals
 
 SOLIDS = {  # {kind: (size, volume)}
     "box": ((0.1, 0.2, 0.3), 8.0 * 0.006),

@@ -19,12 +19,10 @@ from typing import Any
 import llvmlite.binding as llvm
 import numpy as np
 
-from ...common.cpu_target import cpu_target
 from ...common.errors import UnsupportedOperationError
-from ...common.machine_code import LLVM_LOCK, create_machine, load_object, parse_bitcode
+from ...common.installation import __version__, install_command, require_package
+from ...common.machine_code import LLVM_LOCK, cpu_target, create_machine, load_object, parse_bitcode
 from ...common.object_cache import ObjectCache
-from ...common.optional_packages import install_command, require_package
-from ...common.version import __version__
 from ...common.waiting import notice_of_compiling
 from .call_wrapper import (
     COMPILED,

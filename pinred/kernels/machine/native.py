@@ -6,19 +6,16 @@ subexpressions; LLVM's default pipeline takes a third longer, and its code is no
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from contextvars import ContextVar
+
 import casadi as ca
 import llvmlite.binding as llvm
-from collections.abc import Callable
-from collections.abc import Sequence
-from contextvars import ContextVar
+
 from ...common.errors import InputError
-from ...common.machine_code import create_machine
-from ...common.machine_code import emit_object
+from ...common.machine_code import code_level, cpu_target, create_machine, emit_object
 from ...reduction.tree.identical_branches import Mark
-from .lowering import RESERVED
-from .lowering import lower
-from ...common.machine_code import code_level
-from ...common.machine_code import cpu_target
+from .lowering import RESERVED, lower
 
 # Code of more instructions is divided into functions of PART lines of IR.  Kernels of most robots,
 # and of chains of 30 joints, have fewer.

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import time
-import numpy as np
-from collections.abc import Callable
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
+
+import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+
 from ...analysis.equilibria.find import relative_equilibria
 from ...analysis.equilibria.relative_equilibrium import RelativeEquilibrium
-from ...analysis.stability.along_motions import floquet
-from ...analysis.stability.along_motions import linearise
+from ...analysis.stability.along_motions import floquet, linearise
 from ...analysis.stability.linearised_flow import without_base
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ...common.waiting import Progress
-from ...common.waiting import one_by_one
+from ...common.waiting import Progress, one_by_one
 from ...forces.kinds import Damper
 from ...judge.compare import compare
 from ...kernels.derived_code import jacobian_of
@@ -31,14 +30,9 @@ from ...simulation.plan import plan_of
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.load import load
-from ...views.playback.film import SIZE
-from ...views.playback.view_options import FILM_FPS
-from ...views.playback.view_options import View
-from .timing import Table
-from .timing import alternating
-from .timing import repeated
-from .timing import robots_to_measure
-from ...views.playback.film import Frames
+from ...views.playback.film import SIZE, Frames
+from ...views.playback.view_options import FILM_FPS, View
+from .timing import Table, alternating, repeated, robots_to_measure
 
 _ROUNDS = 7
 

@@ -5,39 +5,31 @@ Triangle meshes of shapes are for all viewers but pinred's page, which makes its
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
-from collections.abc import Callable
-from collections.abc import Hashable
-from collections.abc import Iterator
-from collections.abc import Mapping
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from typing import TypeAlias
+from typing import Any, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+
 from ...common.arrays import Array
-from ...common.errors import LoadError
-from ...common.errors import PinredError
+from ...common.errors import LoadError, PinredError
 from ...system.assembly import take_apart
 from ...system.mjcf.compile import compiled
-from ...system.mjcf.world import World
-from ...system.mjcf.world import frame
-from ...system.mjcf.world import robot_in
-from ...system.robot_file_contents import Derivation
-from ...system.robot_file_contents import Origin
-from ...system.robot_files import bundled_robots
-from ...system.robot_files import example_robot
-from ...system.robot_files import is_mjcf
-from ...system.robot_files import mesh_folders
-from ...system.robot_files import read_text
-from ...system.robot_files import text_in_file
+from ...system.mjcf.world import World, frame, robot_in
+from ...system.robot_file_contents import Derivation, Origin
+from ...system.robot_files import (
+    bundled_robots,
+    example_robot,
+    is_mjcf,
+    mesh_folders,
+    read_text,
+    text_in_file,
+)
 from ...system.system import System
-from ...system.urdf_shapes import FARTHEST
-from ...system.urdf_shapes import Mesh
-from ...system.urdf_shapes import Shapes
-from ...system.urdf_shapes import read_shapes
+from ...system.urdf_shapes import FARTHEST, Mesh, Shapes, read_shapes
 
 # Muted colours that colour-blind people can distinguish (after Okabe and Ito).
 PALETTE = (

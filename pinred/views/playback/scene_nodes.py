@@ -5,23 +5,18 @@ All objects are nodes that move, with meshes and lines.  A writer draws nodes an
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
 import numpy as np
 import pinocchio as pin
-from collections.abc import Iterator
-from collections.abc import Sequence
-from dataclasses import dataclass
-from ...common.arrays import Array
-from ...common.arrays import FrozenArrays
+
+from ...common.arrays import Array, FrozenArrays
 from ...lie.rotations import rotation
 from ...system.urdf_shapes import Mesh
-from .drawn_bodies import Bodies
-from .drawn_bodies import Colour
-from .drawn_bodies import Solid
+from .drawn_bodies import Bodies, Colour, Solid, extents, solid_mesh
 from .playback import Playback
-from .drawn_bodies import extents
-from .drawn_bodies import solid_mesh
-from .view_options import LOOK
-from .view_options import ArrowLook
+from .view_options import LOOK, ArrowLook
 
 _STILL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # identity placement
 _BEHIND, _ABOVE, _TOP = 1, 2, 3  # order of objects that are drawn over everything else

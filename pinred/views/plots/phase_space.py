@@ -17,7 +17,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, as_floats
 from ...common.errors import InputError, SymmetryError
 from ...lie.groups import GROUPS, group_named
-from ...reduction.inertia_split import symmetric
+from ...reduction.pointwise_reduction import symmetric
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.state_fields import State, with_base

@@ -2,38 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Literal, TypeAlias, get_args
+
 import numpy as np
-from collections.abc import Mapping
-from collections.abc import Sequence
-from typing import Literal
-from typing import TypeAlias
-from typing import get_args
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...judge.audit import audit_trajectory
-from ...judge.compare import DRIFT_BOUND
-from ...judge.compare import compare
+from ...judge.compare import DRIFT_BOUND, compare
 from ...judge.verdict import Report
 from ...lie.groups import group_named
-from ...lie.rotations import rotation
-from ...lie.rotations import unwrapped_rotation_vectors
+from ...lie.rotations import rotation, unwrapped_rotation_vectors
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.passive import joint_limits
 from ...system.state_fields import FIELDS
-from ..motion_source import MotionSource
-from .style import legend
-from .style import line
-from .style import on_log
-from .style import over_time
-from .style import shown
-from .style import steady
-from .style import styled
-from ..motion_source import Labels
-from ..motion_source import labels
+from ..motion_source import Labels, MotionSource, labels
+from .style import legend, line, on_log, over_time, shown, steady, styled
 
 Attitudes: TypeAlias = Literal["quaternion", "vector", "rpy"]
 ATTITUDES: tuple[Attitudes, ...] = get_args(Attitudes)

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from typing import Protocol
+
+import numpy as np
+import pinocchio as pin
+
 from ....common.arrays import Array
 from ....common.errors import UnsupportedOperationError
+from ....common.installation import install_command
 from ....reduction.pointwise_reduction import symmetric
 from ....system.system import System
 from ..problems import Problem
 from ..solver import UNKNOWN
-from ....common.installation import install_command
 
 INSTALL = install_command("bench")
 EQUAL = 1e-9  # largest relative difference that counts as equal
