@@ -401,15 +401,6 @@ def _line(title: str, part: float) -> str:
     return f"{title} {'█' * full}{'·' * (_WIDTH - full)} {100 * part:3.0f} %"
 
 
-def notice_of_compiling(what: str) -> Wait:
-    """Return the wait for a compilation.
-
-    Args:
-        what: What is compiled, such as "the equations of 'solo12'".
-    """
-    return Wait(f"compiles {what}; the next process finds the result in its cache")
-
-
 INTERRUPTED = 130  # exit code of shells for a process that SIGINT ends: 128 + SIGINT
 _reported = threading.Event()
 
