@@ -11,7 +11,7 @@ from ..common.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ..judge.compare_chain import ChainReport
+    from ..judge.impact_checks import ChainReport
     from ..judge.verdict import Report
     from ..planning.optimisation.best_gait import BestGait
     from ..planning.reorientation.flight_plan import FlightPlan

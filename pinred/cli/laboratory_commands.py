@@ -15,7 +15,7 @@ from .command_options import add_options, option_adder
 
 if TYPE_CHECKING:
     from ..laboratory.bench.work_precision import WorkPrecision
-    from ..laboratory.corpus.corpus_entry import Entry
+    from ..laboratory.corpus.trial import Entry
     from ..laboratory.stress.check import Check
 
 
@@ -130,9 +130,16 @@ def _add_accuracy_options(sub: argparse.ArgumentParser) -> None:
 
 def _run_accuracy(arguments: argparse.Namespace, folder: Path | None) -> int:
     """Measure the results that the folder lacks; print and write all of them.  Returns 0."""
-    from ..laboratory.bench.accuracy import DEFAULT, FULL, QUICK, continue_accuracy
+    from ..laboratory.bench.accuracy import (
+        ALL_SOLVERS,
+        DEFAULT,
+        FULL,
+        QUICK,
+        SOLVERS,
+        continue_accuracy,
+        solvers_named,
+    )
     from ..laboratory.bench.problems import SCENES, problems_named
-    from ..laboratory.bench.solvers import ALL_SOLVERS, SOLVERS, solvers_named
     from ..laboratory.bench.work_precision import NAME
 
     if arguments.list:

@@ -166,7 +166,7 @@ def _without_variables(method: str) -> Any:
 
 def _uncommon(system: System) -> Any:
     """Read a batch, prescribe a joint, linearise a motion, and follow a gait, and more."""
-    from ..laboratory.bench.flow_timing import kernel_repetitions
+    from ..laboratory.bench.kernel_timing import kernel_repetitions
 
     driven: dict[str, Any] = {
         "duration": _DURATION,

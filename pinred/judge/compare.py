@@ -34,11 +34,25 @@ from ..simulation.contact.chain import Chain
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import State
 from .audit import audit_trajectory, audit_with_reference, equation_errors, measurement_error
-from .compare_chain import ChainReport, judge_impacts
-from .distances import Distance, FullMotion, Size
 from .full_system import loop_errors
+from .impact_checks import (
+    ChainReport,
+    StopChecks,
+    check_stops,
+    contact_errors,
+    judge_impacts,
+    judgeable_until,
+)
 from .reference_integrators import AbaStopped, TimeBudget, default_budget
-from .reference_solution import FINEST, PERTURBATION, FullState, StiffError
+from .reference_solution import (
+    FINEST,
+    PERTURBATION,
+    Distance,
+    FullMotion,
+    FullState,
+    Size,
+    StiffError,
+)
 from .step_defects import (
     DecayingErrors,
     Defects,
@@ -49,7 +63,6 @@ from .step_defects import (
     solve_stiff_steps,
     unresolved_forces,
 )
-from .stop_checks import StopChecks, check_stops, contact_errors, judgeable_until
 from .stop_reference import NEVER, Hit, StoppedFullState, first_difference, full_state_of
 from .verdict import Report, Verdict
 

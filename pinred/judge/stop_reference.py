@@ -25,10 +25,9 @@ from ..scene.stop import BallBound, BallStop, Stop
 from ..simulation.control import Replay
 from ..simulation.trajectory import Trajectory
 from ..system.loops.kinematics import LoopKinematics
-from .distances import FullMotion
 from .full_system import RANK
 from .reference_integrators import AbaStopped, TimeBudget
-from .reference_solution import PERTURBATION, FullState
+from .reference_solution import PERTURBATION, FullMotion, FullState
 
 _LEAST_RTOL = 2.3e-14  # tightest relative tolerance of SciPy's DOP853
 _SAMPLES = 16  # number of times in a step at which gaps and reactions are evaluated

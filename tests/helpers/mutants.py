@@ -48,10 +48,10 @@ ROOT = Path(__file__).parents[2]
 # The tests that most likely kill a mutant.
 TESTS: dict[str, list[str]] = {
     "judge": [
-        "judge/test_audit.py", "judge/test_compare.py",
+        "judge/test_audit.py", "judge/test_compare.py", "judge/test_impact_checks.py",
         "judge/test_bounds_of_compare.py", "judge/test_error_bounds.py",
         "judge/test_full_system.py", "judge/test_step_defects.py",
-        "judge/test_distances.py", "judge/test_reference_integrators.py",
+        "judge/test_reference_solution.py", "judge/test_reference_integrators.py",
         "judge/test_gravity_loads.py", "judge/test_stiff_defects.py",
         "simulation/test_balances.py", "views/test_notebook_cards.py",
     ],

@@ -36,8 +36,7 @@ from pinred.integrators.radau import radau_coefficients
 from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.linear_systems import factor, factor_complex, solve, solve_complex
-from pinred.judge.distances import FullMotion
-from pinred.judge.reference_solution import FullState
+from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.kernels import derived_code as tangent
 from pinred.kernels.derived_code import tangent_of
 from pinred.kernels.machine import native

@@ -17,8 +17,7 @@ from pinred import Gauss, Variational
 from pinred.common.arrays import Array
 from pinred.common.errors import KernelMismatch, NoConvergence
 from pinred.integrators.stepping import run_state
-from pinred.judge.distances import FullMotion
-from pinred.judge.reference_solution import FullState
+from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.kernels import closing_code
 from pinred.simulation import checkpoint
 from pinred.system.loops.looped_system import loop_jacobian, loop_values

@@ -18,7 +18,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.forces import SeenState, Torque, Wrench
 from pinred.judge.reference_integrators import Hairer
-from pinred.judge.reference_solution import FINEST, PERTURBATION, FullState
+from pinred.judge.reference_solution import FINEST, PERTURBATION, Distance, FullState, Size
 from pinred.lie import GROUPS
 from pinred.system.joints import axes_of
 
@@ -282,3 +282,32 @@ def test_run_continues_behind_a_stop_close_to_its_end(method: str) -> None:
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     x = full.run(y0, np.array([0.0, 1.0]), 1e-10, 1e-12, method=method).x[-1, 0]
     assert x == pytest.approx(3.0, abs=3e-12)
+
+
+SIZE = Size(joints=np.array([2.0, 5.0]), position=4.0, away=1e3)
+
+
+@pytest.mark.parametrize(
+    ("joints", "rotation", "position"),
+    [
+        ((6.0, 5.0), 1.0, 4.0),
+        ((2.0, 15.0), 1.0, 4.0),
+        ((2.0, 5.0), 3.0, 4.0),
+        ((2.0, 5.0), 1.0, 12.0),
+    ],
+)
+def test_relative_distance_is_largest_of_all_kinds(
+    joints: tuple[float, float], rotation: float, position: float
+) -> None:
+    """Joints, rotation and position have separate units; NaN stays NaN."""
+    distance = Distance(
+        joints=np.array([[0.0, 0.0], joints]),
+        rotation=np.array([0.0, rotation]),
+        position=np.array([0.0, position]),
+    )
+    assert distance.relative(SIZE).tolist() == [0.0, 3.0]
+    assert distance.worst(SIZE) == 3.0
+    assert distance.shape.tolist() == [0.0, max(joints)]
+    assert np.isnan(
+        Distance(distance.joints, distance.rotation * np.nan, distance.position).worst(SIZE)
+    )

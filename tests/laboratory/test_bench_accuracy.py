@@ -20,7 +20,7 @@ from pinred.common.arrays import Array
 from pinred.common.errors import InputError, IntegrationError, LoadError
 from pinred.common.optional_packages import install_command
 from pinred.integrators.methods import RKMK4
-from pinred.judge.distances import FullMotion
+from pinred.judge.reference_solution import FullMotion
 from pinred.laboratory.bench import (
     QUICK,
     SCENES,
@@ -42,9 +42,8 @@ from pinred.laboratory.bench import (
     timing,
     write_record,
 )
-from pinred.laboratory.bench.accuracy import _quadruple, overview
+from pinred.laboratory.bench.accuracy import _quadruple, overview, solvers_named
 from pinred.laboratory.bench.problems import compute_drift
-from pinred.laboratory.bench.solvers import solvers_named
 from pinred.system.coordinates import InitialState
 
 pytestmark = pytest.mark.slow

@@ -16,15 +16,13 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import IntegrationError, UnsupportedOperationError
 from pinred.common.optional_packages import install_command
-from pinred.judge.distances import FullMotion
-from pinred.judge.reference_solution import FullState
+from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.kernels.state_layout import Structure
 from pinred.laboratory.bench import SOLVERS, Problem, reference_of
 from pinred.laboratory.bench.peers.aba import ABA, full_vector_field
 from pinred.laboratory.bench.peers.cvodes import full_graph
 from pinred.laboratory.bench.peers.drake import DrakeModel, check_in_child_process
-from pinred.laboratory.bench.peers.equality import EQUAL, equality, missing_unless_equal
 from pinred.laboratory.bench.peers.exudyn import (
     ORDERS,
     ExudynModel,
@@ -33,8 +31,9 @@ from pinred.laboratory.bench.peers.exudyn import (
     spin_matrix,
     spin_rate,
 )
+from pinred.laboratory.bench.peers.full_models import EQUAL, equality, missing_unless_equal
 from pinred.laboratory.bench.peers.mujoco import MujocoModel
-from pinred.laboratory.bench.solver import Solver
+from pinred.laboratory.bench.problems import Solver
 from pinred.lie import GROUPS
 from pinred.scene.initial_state import random_state
 from pinred.system.system import System

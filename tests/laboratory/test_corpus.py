@@ -19,10 +19,15 @@ import pinred
 from pinred import InputError, LoadError
 from pinred.laboratory.corpus import run_corpus as workers
 from pinred.laboratory.corpus import trial as trials
-from pinred.laboratory.corpus.corpus_entry import Description, Entry, find_descriptions
-from pinred.laboratory.corpus.run_corpus import Corpus, Worker, corpus
-from pinred.laboratory.corpus.second_reader import differences
-from pinred.laboratory.corpus.trial import TrialOptions, run_trial, why_not_due
+from pinred.laboratory.corpus.run_corpus import Corpus, Worker, corpus, find_descriptions
+from pinred.laboratory.corpus.trial import (
+    Description,
+    Entry,
+    TrialOptions,
+    differences,
+    run_trial,
+    why_not_due,
+)
 from pinred.system import independent_reader
 
 QUICK = TrialOptions(duration=0.05)

@@ -14,8 +14,7 @@ from test_urdf_words import bar, on
 
 import pinred
 from pinred import LoadError, ModelError
-from pinred.laboratory.corpus.corpus_entry import Description
-from pinred.laboratory.corpus.trial import TrialOptions, run_trial
+from pinred.laboratory.corpus.trial import Description, TrialOptions, run_trial
 from pinred.system import independent_reader, read_urdf
 from pinred.system.independent_reader import differences, second_reading
 from pinred.system.rebuild import ModelBuilder

@@ -21,8 +21,7 @@ from ...common.waiting import Progress, one_by_one, quiet, shown
 from ...integrators.integrate_many import Solutions, integrate_many
 from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import DOP853
-from ...judge.distances import FullMotion
-from ...judge.reference_solution import FINEST
+from ...judge.reference_solution import FINEST, FullMotion
 from ...kernels.derived_code import wide_rate
 from ...scene.initial_state import random_state
 from ...simulation.members.integrate_members import lanes_of
@@ -31,8 +30,15 @@ from ...simulation.simulate_many import simulate_many
 from ...system.system import System
 from .peers.heyoka import HEYOKA_BATCH
 from .peers.mujoco import ROLLOUT
-from .problems import End, Problem, compile_members, generate_members, problems_named
-from .solver import PreparedRun, Solver
+from .problems import (
+    End,
+    PreparedRun,
+    Problem,
+    Solver,
+    compile_members,
+    generate_members,
+    problems_named,
+)
 from .timing import Table, alternating, repeated
 
 _TOLERANCES = tuple(10.0 ** (-k / 3) for k in range(18, 40))

@@ -1,11 +1,15 @@
-"""Times of whole calls: comparisons, Floquet multipliers, and frames of films."""
+"""Times of whole calls: first calls, comparisons, Floquet multipliers, and frames of films."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 
 import numpy as np
@@ -229,3 +233,64 @@ def _bench_film(name: str) -> SimpleNamespace:
     return SimpleNamespace(
         robot=name, triangles=frames.triangles, frame=frame, per_second=1.0 / frame
     )
+
+
+_PROCESSES = 3  # number of timed processes of each first call
+CALLS = {  # source text of each call
+    "simulate": "pinred.simulate(system, seed=1, duration=0.5)",
+    "simulate, Radau": "pinred.simulate(system, seed=1, duration=0.5, method='Radau')",
+    "simulate, Gauss": "pinred.simulate(system, seed=1, duration=0.5, method='Gauss(0.01)')",
+    "simulate_many": "pinred.simulate_many(system, seeds=range(8), times=[0.5])",
+    "flow.jacobian": "pinred.flow(system, wrt=['x0'], seed=1, duration=0.5).jacobian()",
+    "flow.vjp": "pinred.flow(system, wrt=['x0'], seed=1, duration=0.5)"
+    ".vjp({'pose': numpy.ones(system.group.dim)})",
+    "simulate, compare": "pinred.compare(pinred.simulate(system, seed=1, duration=0.5))",
+}
+# The harness is imported first: neither it nor the engine's modules that it needs are measured.
+_PROGRAM = """
+import time, numpy, pinred, pinred.laboratory.bench.timing
+system = pinred.load("falling_cat")
+began = time.perf_counter()
+{call}
+print(time.perf_counter() - began)
+"""
+
+
+@checks_arguments
+def bench_first_calls(
+    calls: Sequence[str] = (), *, progress: Progress | bool | None = None
+) -> Table:
+    """Measure first calls in fresh processes with empty caches, after the robot was loaded.
+
+    Args:
+        calls: Names of CALLS; by default all.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        A row for each call: the median time, with machine code generated from the package's
+        bitcode [s].
+    Raises:
+        InputError: A call is unknown.
+    """
+    names = list(calls) or list(CALLS)
+    if unknown := [name for name in names if name not in CALLS]:
+        raise InputError(f"no call '{unknown[0]}'; the calls are {', '.join(CALLS)}")
+
+    def measure(name: str) -> SimpleNamespace:
+        seconds = [time_in_fresh_process(CALLS[name]) for _ in range(_PROCESSES)]
+        return SimpleNamespace(call=name, seconds=float(np.median(seconds)))
+
+    return Table(
+        "first_calls", tuple(one_by_one(names, measure, progress, "calls")), {"seconds": "s"}
+    )
+
+
+def time_in_fresh_process(call: str) -> float:
+    """Return the time of a call, given as source text, in a process with an empty cache [s]."""
+    with TemporaryDirectory() as cache:
+        # Installed packages contain bytecode, so the processes write and read it.
+        settings = {"PINRED_CACHE_DIR": cache, "PYTHONDONTWRITEBYTECODE": ""}
+        done = subprocess.run(
+            [sys.executable, "-c", _PROGRAM.format(call=call)], stdout=subprocess.PIPE, text=True,
+            check=True, env={**os.environ, **settings},
+        )  # fmt: skip
+    return float(done.stdout)

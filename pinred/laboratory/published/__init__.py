@@ -29,6 +29,4 @@ from ...system.load import load as load
 from ...system.robot_description import Model as Model
 
 from . import dynamics as dynamics  # isort: skip
-from . import turns as turns  # isort: skip
 from . import locomotion as locomotion  # isort: skip
-from . import collisions as collisions  # isort: skip

@@ -18,9 +18,8 @@ import pinocchio as pin
 from ....common.arrays import Array
 from ....lie.group import Group
 from ....system.system import System
-from ..problems import Problem
-from ..solver import End, PreparedRun, Solver, halvings, steps_of
-from .scipy_over_field import Field, scipy_methods
+from ..problems import End, PreparedRun, Problem, Solver, halvings, steps_of
+from .full_models import Field, scipy_methods
 
 Floats = Sequence[float]
 

@@ -15,9 +15,8 @@ import numpy as np
 from ....common.arrays import Array
 from ....common.errors import IntegrationError, UnsupportedOperationError
 from ....kernels.reduced_graph import ReducedGraph
-from ..problems import Problem, compile_members
-from ..solver import PreparedRun, Solver, decades
-from .equality import INSTALL
+from ..problems import PreparedRun, Problem, Solver, compile_members, decades
+from .full_models import INSTALL
 
 
 def has_heyoka() -> bool:

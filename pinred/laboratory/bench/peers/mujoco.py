@@ -14,10 +14,14 @@ from ....common.arrays import Array
 from ....common.errors import UnsupportedOperationError
 from ....lie.group import Group
 from ....system.system import System
-from ..problems import Problem
-from ..solver import End, PreparedRun, Solver, halvings, steps_of
-from .equality import frame_rotation_term, missing_unless_equal, root_rotation
-from .scipy_over_field import Field, scipy_methods
+from ..problems import End, PreparedRun, Problem, Solver, halvings, steps_of
+from .full_models import (
+    Field,
+    frame_rotation_term,
+    missing_unless_equal,
+    root_rotation,
+    scipy_methods,
+)
 
 
 class MujocoModel:
