@@ -32,13 +32,12 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import InputError
-from ..reduction.inertia_split import symmetric
 from ..reduction.symmetric_balls import SymmetricBall
 from ..simulation.balances import energy_balance, momentum_balance
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import State
 from ..system.system import System, moved_masses
-from .full_system import gravity_load_sizes
+from .full_system import gravity_load_sizes, mass_matrix
 from .reference_solution import SPREAD_MARGIN, FullState
 from .step_defects import full_states
 
@@ -351,9 +350,9 @@ def _accelerations(
 def _mass_matrices_and_loads(system: System, q: Array) -> tuple[Array, Array]:
     """Return Pinocchio's mass matrices (T, n, n) and magnitudes of gravity loads (T, n)."""
     model, data = system.sorted_model, system.sorted_data
-    upper = np.array([pin.crba(model, data, q_k) for q_k in q])
+    H = np.array([mass_matrix(model, data, q_k) for q_k in q])
     loads = system.sizes_on_shape(gravity_load_sizes(model, data, q))
-    return system.coupled_matrix(symmetric(upper)), loads
+    return system.coupled_matrix(H), loads
 
 
 def _inertial_forces(system: System, q0: Array, changes: Array, size: float) -> Array:

@@ -69,7 +69,9 @@ class RootMotion:
         slides_across = self.plane is not None or (self.turns == 3 and self.linear == 3)
         return self.turns > 0 and not slides_across
 
-    def rate(self, root: Array, v: Array) -> Sequence[Any] | Array:
+    def rate(
+        self, root: Array | Sequence[float], v: Array | Sequence[float]
+    ) -> Sequence[Any] | Array:
         """Compute the time derivative of the root coordinates (size,) at a body twist v (r,).
 
         Args:
@@ -356,6 +358,12 @@ def _at_states(function: Callable[..., Any], *arrays: Array) -> Array:
     return np.array([function(*rows) for rows in zip(*arrays, strict=True)])
 
 
+def mass_matrix(model: pin.Model, data: pin.Data, q: Array) -> Array:
+    """Compute Pinocchio's mass matrix (nv, nv); CRBA fills the upper triangle only."""
+    upper = np.triu(pin.crba(model, data, q))
+    return np.asarray(upper + np.triu(upper, 1).T)
+
+
 def gravity_load_sizes(model: pin.Model, data: pin.Data, q: Array) -> Array:
     """Compute Σ m |g| |c − p| over the bodies that each velocity coordinate moves.
 
@@ -516,7 +524,6 @@ class CouplingConstraints:
         self._model, self._data = model, model.createData()
         self._weightless = model.copy()
         self._weightless.gravity.setZero()
-        self._rows, self._columns = np.tril_indices(model.nv, -1)
         self._borders: dict[tuple[int, ...], Array] = {}
         self._uses_aba = not self._couplings or singular_shapes(model) == SingularShapes()
         self._loops = LoopKinematics(model, system.loops) if system.loops else None
@@ -647,11 +654,9 @@ class CouplingConstraints:
         """
         if self._loops is not None:
             return self._solve_in_null_space(q, v, tau, driven, prescribed)
-        n, rows, columns = len(v), self._rows, self._columns
+        n = len(v)
         matrix = self._border(driven).copy()
-        upper = pin.crba(self._model, self._data, q)
-        matrix[:n, :n] = upper
-        matrix[rows, columns] = upper[columns, rows]
+        matrix[:n, :n] = mass_matrix(self._model, self._data, q)
         right = np.zeros(len(matrix))
         right[:n] = tau - pin.nonLinearEffects(self._model, self._data, q, v)
         right[n + len(self.J) :] = prescribed
@@ -683,8 +688,7 @@ class CouplingConstraints:
         rank = int((sizes > RANK * sizes[0]).sum())
         a = Vt[:rank].T @ ((U.T @ c)[:rank] / sizes[:rank])
         N = Vt[rank:].T
-        upper = pin.crba(self._model, self._data, q)
-        M = np.triu(upper) + np.triu(upper, 1).T
+        M = mass_matrix(self._model, self._data, q)
         force = tau - pin.nonLinearEffects(self._model, self._data, q, v) - M @ a
         return np.asarray(a + N @ np.linalg.solve(N.T @ M @ N, N.T @ force))
 

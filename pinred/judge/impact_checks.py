@@ -23,10 +23,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
-from ..reduction.inertia_split import symmetric
 from ..simulation.contact.capture import Capture, Release
 from ..simulation.contact.chain import Chain, Impact
 from ..simulation.contact.landing import Landing
@@ -35,7 +35,7 @@ from ..simulation.trajectory import Trajectory
 from ..system.derived_systems import Instant
 from ..system.loops.kinematics import LoopKinematics
 from ..system.system import System
-from .full_system import RANK
+from .full_system import RANK, mass_matrix
 from .step_defects import defect_units, full_states
 from .stop_reference import Hit, StoppedFullState, matched
 from .verdict import Report, Verdict, table_of
@@ -442,19 +442,25 @@ class _Body:
         self.model, self.data = model, data
         self.q = system.sorted_q(state.pose, state.x)
         self.v = system.sorted_v(state.xi, state.xdot)
-        self.H = symmetric(np.array(pin.crba(model, data, self.q)))
+        self.H = mass_matrix(model, data, self.q)
         self.constraints = np.vstack([_follower_rows(system), _loop_rows(system, self.q)])
         pin.computeJointJacobians(model, data, self.q)
         pin.updateFramePlacements(model, data)
 
     def rows(self, frame: str) -> Array:
         """Return the Jacobian of a frame, (6, nv), at its origin in world axes."""
-        model = self.model
-        is_link = model.existFrame(frame, pin.FrameType.BODY)
-        number = model.getFrameId(frame, pin.FrameType.BODY) if is_link else model.getFrameId(frame)
-        kind = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        J = pin.getFrameJacobian(model, self.data, number, kind)
-        return np.reshape(J, (6, model.nv))
+        axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        J = pin.getFrameJacobian(self.model, self.data, self._number(frame), axes)
+        return np.reshape(J, (6, self.model.nv))
+
+    def placement(self, frame: str) -> pin.SE3:
+        """Return the placement of a frame in the world."""
+        return self.data.oMf[self._number(frame)]
+
+    def _number(self, frame: str) -> int:
+        """Return the index of a frame; a link takes precedence over others of its name."""
+        link = (pin.FrameType.BODY,) if self.model.existFrame(frame, pin.FrameType.BODY) else ()
+        return int(self.model.getFrameId(frame, *link))
 
     def twists(self, v: Array) -> dict[str, Array]:
         """Return the twists of all links in world axes, (6,), by name, for velocities (nv,)."""
@@ -513,9 +519,9 @@ def _solve(H: Array, C: Array, v: Array) -> tuple[Array, Array]:
     return solution[:n] / size, -solution[n:]
 
 
-def _difference(values: Array, references: Array, scale: float) -> float:
+def _difference(values: ArrayLike, references: ArrayLike, scale: float) -> float:
     """Return the largest difference relative to a scale; 0 if all are zero."""
-    error = float(np.abs(np.asarray(values) - references).max(initial=0.0))
+    error = float(np.abs(np.asarray(values) - np.asarray(references)).max(initial=0.0))
     return error / scale if scale else error
 
 
@@ -533,7 +539,7 @@ def _capture(capture: Capture) -> dict[str, float]:
     H = np.block([[a.H, np.zeros((na, len(b.v)))], [np.zeros((len(b.v), na)), b.H]])
     v = np.concatenate([a.v, b.v])
     # The frames may be apart by the tolerance: the second frame moves as if fixed to the first.
-    apart = _origin(b, capture.onto) - _origin(a, capture.at)
+    apart = b.placement(capture.onto).translation - a.placement(capture.at).translation
     carried = np.eye(6)
     carried[:3, 3:] = -pin.skew(apart)
     meeting = np.hstack([carried @ a.rows(capture.at), -b.rows(capture.onto)])
@@ -544,7 +550,7 @@ def _capture(capture: Capture) -> dict[str, float]:
     joined = _Body(capture.system, capture.instant)
     links = a.twists(after[:na]) | {prefix + n: w for n, w in b.twists(after[na:]).items()}
     impulse = carried.T @ multipliers[:6]
-    turn = _attitude(a, capture.at)
+    turn = a.placement(capture.at).rotation
     wrench = np.concatenate([turn @ capture.impulse[:3], turn @ capture.impulse[3:]])
     momenta = a.momentum(a.v), b.momentum(b.v)
     size = float(np.abs(momenta).sum(axis=0).max())
@@ -558,12 +564,8 @@ def _capture(capture: Capture) -> dict[str, float]:
         "momentum across it [relative]": _difference(
             twists.T @ joined.momentum(joined.v), twists.T @ sums, size
         ),
-        "energy lost [relative]": _difference(
-            np.array(capture.energy_lost), np.array(lost), energy
-        ),
-        "energy after [relative]": _difference(
-            np.array(joined.energy(joined.v)), np.array(energy - lost), energy
-        ),
+        "energy lost [relative]": _difference(capture.energy_lost, lost, energy),
+        "energy after [relative]": _difference(joined.energy(joined.v), energy - lost, energy),
     }
 
 
@@ -579,7 +581,7 @@ def _release(release: Release) -> dict[str, float]:
         "velocities after [relative]": _twist_error(links, whole.twists(whole.v), whole.v),
         "momentum across it [relative]": _difference(twists.T @ after, twists.T @ momentum, size),
         "energy after [relative]": _difference(
-            np.array(sum(part.energy(part.v) for part in parts)), np.array(energy), energy
+            sum(part.energy(part.v) for part in parts), energy, energy
         ),
     }
 
@@ -603,7 +605,7 @@ def _landing(landing: Landing) -> dict[str, float]:
             stopped @ landed.v, np.zeros(len(stopped)), float(np.abs(stopped @ body.v).max())
         ),
         "energy lost [relative]": _difference(
-            np.array(landing.energy_lost), np.array(energy - body.energy(after)), energy
+            landing.energy_lost, energy - body.energy(after), energy
         ),
     }  # fmt: skip
     if landing.stance is not None:
@@ -612,24 +614,9 @@ def _landing(landing: Landing) -> dict[str, float]:
             stance.twists(stance.v), expected, body.v
         )
         errors["energy in stance [relative]"] = _difference(
-            np.array(stance.energy(stance.v)), np.array(body.energy(after)), energy
+            stance.energy(stance.v), body.energy(after), energy
         )
     return errors
-
-
-def _frame(body: _Body, name: str) -> pin.SE3:
-    model = body.model
-    is_link = model.existFrame(name, pin.FrameType.BODY)
-    number = model.getFrameId(name, pin.FrameType.BODY) if is_link else model.getFrameId(name)
-    return body.data.oMf[number]
-
-
-def _origin(body: _Body, frame: str) -> Array:
-    return np.array(_frame(body, frame).translation)
-
-
-def _attitude(body: _Body, frame: str) -> Array:
-    return np.array(_frame(body, frame).rotation)
 
 
 def _root_twists(system: System) -> Array:

@@ -19,13 +19,12 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..forces.switch_times import time_within
-from ..reduction.inertia_split import symmetric
 from ..scene.scene import Scene
 from ..scene.stop import BallBound, BallStop, Stop
 from ..simulation.control import Replay
 from ..simulation.trajectory import Trajectory
 from ..system.loops.kinematics import LoopKinematics
-from .full_system import RANK
+from .full_system import RANK, mass_matrix
 from .reference_integrators import AbaStopped, TimeBudget
 from .reference_solution import PERTURBATION, FullMotion, FullState
 
@@ -265,7 +264,7 @@ class StoppedFullState(FullState):
 
     def mass_matrix(self, q: Array) -> Array:
         """Return Pinocchio's mass matrix at a configuration, (nv, nv)."""
-        return symmetric(pin.crba(self._model, self.system.sorted_data, q))
+        return mass_matrix(self._model, self.system.sorted_data, q)
 
     def kinetic_energy(self, y: Array) -> float:
         """Return the kinetic energy at a full state [J]."""
@@ -350,15 +349,13 @@ class StoppedFullState(FullState):
         return max(self.lifted, *(10.0 * row.stop.rest_rate for row in self.rows))
 
 
-def full_state_of(traj: Trajectory, budget: TimeBudget | None = None) -> FullState:
-    """Return the full simulation of a trajectory's scene, with its joint stops if it has any.
+def stopped_full_state(traj: Trajectory, budget: TimeBudget | None = None) -> StoppedFullState:
+    """Return the full simulation of a trajectory's scene with its joint stops.
 
     Args:
         traj: The trajectory.
         budget: Time limit of all runs together.
     """
-    if not traj.scene.bounds:
-        return FullState(traj.scene, traj.motion.replay, budget)
 
     def resting(t: float) -> Rows:
         rest, _ = next(iter(traj.motion.resting(np.array([t]))))

@@ -23,8 +23,8 @@ from pinred.judge.stop_reference import (
     Hit,
     StoppedFullState,
     complementary,
-    full_state_of,
     matched,
+    stopped_full_state,
 )
 from pinred.judge.verdict import Verdict
 from pinred.simulation import run_with_stops
@@ -162,7 +162,7 @@ def checked_hits(
     traj: pinred.Trajectory, hits: list[Hit], bound: float
 ) -> tuple[dict[str, tuple[float, float]], tuple[str, ...]]:
     """Return the checks of a motion against given impacts and a bound on positions; reasons."""
-    full = full_state_of(traj)
+    full = stopped_full_state(traj)
     assert isinstance(full, StoppedFullState)
     times = np.linspace(0.0, traj.scene.end, 11)
     result = impact_checks.check_stops(traj, full, hits, np.inf, times, np.full(11, bound))
@@ -172,7 +172,7 @@ def checked_hits(
 def test_bounds_of_times_and_impulses_follow_from_the_bound_of_positions() -> None:
     """A time may have the error of the position over the speed, and round-off of the duration."""
     traj = cat(0.6)
-    full = full_state_of(traj)
+    full = stopped_full_state(traj)
     unit = defect_units(traj, full)[1][-traj.system.model.nv :]
     hits = impact_checks._hits_of(traj.impacts)
     rates = {
@@ -205,7 +205,7 @@ def test_order_of_impacts_within_the_errors_of_their_times_is_undecided(
 ) -> None:
     """Impacts closer than the sum of both errors may happen in another order."""
     traj, bound = cat(0.6), 1e-7
-    full = full_state_of(traj)
+    full = stopped_full_state(traj)
     assert isinstance(full, StoppedFullState)
     rules = impact_checks._Rules.of(traj, full, np.linspace(0.0, 1.0, 11), np.full(11, bound))
     first, second, *rest = impact_checks._hits_of(traj.impacts)
@@ -222,7 +222,7 @@ def test_order_of_impacts_within_the_errors_of_their_times_is_undecided(
 def test_impacts_together_or_one_after_the_other_are_undecided() -> None:
     """Two joints that hit at once have other speeds and impulses than one after the other."""
     traj = cat(0.6)
-    full = full_state_of(traj)
+    full = stopped_full_state(traj)
     assert isinstance(full, StoppedFullState)
     rules = impact_checks._Rules.of(traj, full, np.linspace(0.0, 1.0, 11), np.full(11, 1e-7))
     first, second, *rest = impact_checks._hits_of(traj.impacts)
@@ -305,7 +305,7 @@ def test_slow_impacts_may_be_missing_in_either_motion() -> None:
     assert matched([*hits(2.9e-5), *other], other, slowest)[1] == np.inf
     assert matched(other, [*hits(2.9e-5), *other], slowest)[1] == np.inf
     assert matched([*hits(3.1e-5), *other], other, slowest)[1] == 0.0
-    full = full_state_of(cat(0.6))
+    full = stopped_full_state(cat(0.6))
     assert isinstance(full, StoppedFullState)
     np.testing.assert_allclose(full.slowest, 1e-5, rtol=1e-12)
 
@@ -429,7 +429,7 @@ def test_pull_within_round_off_of_the_energy_passes(monkeypatch: pytest.MonkeyPa
     """Without forces, a cyclic joint rests without any reaction but round-off."""
     system, options = random_stops(5)
     traj = pinred.simulate(system, **options)
-    full = full_state_of(traj)
+    full = stopped_full_state(traj)
     assert isinstance(full, StoppedFullState)
     assert any("at its" in label for _, label in traj.motion.modes)
     y = full_states(traj, full, traj.t)
@@ -443,7 +443,7 @@ def test_pull_within_round_off_of_the_energy_passes(monkeypatch: pytest.MonkeyPa
 def test_reactions_are_computed_at_most_400_times(monkeypatch: pytest.MonkeyPatch) -> None:
     """A motion with many short steps at rest costs no more."""
     traj = cat(0.0, forces=[PRESS], method="DOP853(max_step=2e-3)")
-    full, counts = full_state_of(traj), list[int]()
+    full, counts = stopped_full_state(traj), list[int]()
     assert isinstance(full, StoppedFullState)
     assert len(traj.motion.knots) > 450
 
@@ -463,7 +463,7 @@ def test_reference_finds_rebounds_that_are_short_for_its_steps() -> None:
         bouncing_slide(), x0=[0.0], xdot0=[-1.0], xi0=[0.0], duration=4.0,
         forces=[Torque(lambda *_: [-push])], stops={"slide": pinred.Stop(0.0, restitution=0.5)},
     )  # fmt: skip
-    full, start = full_state_of(traj, TimeBudget(60.0)), traj.scene.start
+    full, start = stopped_full_state(traj, TimeBudget(60.0)), traj.scene.start
     assert isinstance(full, StoppedFullState)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     hits = full.solve_with_stops(y0, np.array([0.0, 4.0]), 1e-12, 1e-14).hits
@@ -481,7 +481,7 @@ def test_speeds_affected_by_round_off_are_ten_times_that_of_a_sustained_rebound(
         bouncing_slide(), x0=[0.3], xdot0=[-1.0], xi0=[0.0], duration=1e-5,
         forces=[Torque(lambda *_: [-push])], stops={"slide": pinred.Stop(0.3, restitution=0.5)},
     )  # fmt: skip
-    full, start = full_state_of(traj), traj.scene.start
+    full, start = stopped_full_state(traj), traj.scene.start
     assert isinstance(full, StoppedFullState)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     hits = full.solve_with_stops(y0, np.array([0.0, 1e-5]), 1e-12, 1e-14).hits

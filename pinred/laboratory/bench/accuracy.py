@@ -24,7 +24,7 @@ import numpy as np
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, read_only
-from ...common.errors import InputError, IntegrationError, PinredError
+from ...common.errors import IntegrationError, PinredError
 from ...common.files import write_atomic, write_table
 from ...common.waiting import Progress, ProgressBar, quiet, shown
 from ...integrators.methods import DOP853_LEAST, METHODS, RKMK4, AdaptiveGauss, Explicit, Gauss
@@ -51,6 +51,7 @@ from .problems import (
     decades,
     halvings,
     problems_named,
+    select_named,
 )
 from .timing import Table, alternating, repeated
 from .work_precision import ERRORS, NAME, Point, WorkPrecision, read_record, write_record
@@ -159,13 +160,7 @@ def solvers_named(
     names: Sequence[str] | None, among: Sequence[Solver] = SOLVERS
 ) -> tuple[Solver, ...]:
     """Return the named methods, or all if None; raise InputError for an unknown name."""
-    if names is None:
-        return tuple(among)
-    by_name = {method.name: method for method in among}
-    for name in names:
-        if name not in by_name:
-            raise InputError(f"no method '{name}'; the methods are {', '.join(by_name)}")
-    return tuple(by_name[name] for name in dict.fromkeys(names))
+    return tuple(select_named(names, {solver.name: solver for solver in among}, "method").values())
 
 
 YARDSTICK = "pinred"  # method that every run contains, so that time ratios stay within a run
@@ -435,32 +430,23 @@ def continue_accuracy(
     return results
 
 
+_EQUAL_ERROR = ("run", "problem", "error", "method", "wall", "times_pinred", "reference_error")
+
+
 def _write_equal_error(folder: Path, results: Sequence[WorkPrecision]) -> None:
     """Write run times and their ratios at equal errors, interpolated between the points."""
-    columns = [
-        "run",
-        "problem",
-        "error",
-        "method",
-        "wall",
-        "times_pinred",
-        "reference_error",
-    ]
-    records: list[dict[str, object]] = [
-        {
-            "run": result.run,
-            "problem": result.problem,
-            "error": error,
-            "method": method,
-            "wall": result.wall_at(method, error),
-            "times_pinred": result.ratio_at(method, error) if YARDSTICK in result.about else "",
-            "reference_error": result.reference_error,
-        }
+    values = (
+        (
+            *(result.run, result.problem, error, method, result.wall_at(method, error)),
+            result.ratio_at(method, error) if YARDSTICK in result.about else "",
+            result.reference_error,
+        )
         for result in results
         for error in ERRORS
         for method in result.about
-    ]
-    write_table(folder / "equal_error.csv", columns, records)
+    )
+    records = [dict(zip(_EQUAL_ERROR, row, strict=True)) for row in values]
+    write_table(folder / "equal_error.csv", _EQUAL_ERROR, records)
 
 
 OVERVIEW_ERRORS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-13)

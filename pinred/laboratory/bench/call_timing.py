@@ -22,7 +22,6 @@ from ...analysis.stability.along_motions import floquet, linearise
 from ...analysis.stability.linearised_flow import without_base
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
-from ...common.errors import InputError
 from ...common.waiting import Progress, one_by_one
 from ...forces.kinds import Damper
 from ...judge.compare import compare
@@ -37,6 +36,7 @@ from ...system.load import load
 from ...views.playback.film import SIZE
 from ...views.playback.film_frames import Frames
 from ...views.playback.view_options import FILM_FPS, View
+from .problems import select_named
 from .timing import Table, alternating, repeated, robots_to_measure
 
 _ROUNDS = 7
@@ -84,10 +84,9 @@ def bench_compare(scenes: Sequence[str] = (), *, progress: Progress | bool | Non
     Raises:
         InputError: A scene is unknown.
     """
-    names = robots_to_measure(scenes, [*BUNDLED], [*EXAMPLES])
-    if unknown := [name for name in names if name not in SCENES]:
-        raise InputError(f"no scene '{unknown[0]}'; the scenes are {', '.join(SCENES)}")
-    motions = one_by_one(names, lambda name: SCENES[name](), progress, "scenes")
+    selected = select_named(robots_to_measure(scenes, [*BUNDLED], [*EXAMPLES]), SCENES, "scene")
+    names = list(selected)
+    motions = one_by_one(names, lambda name: selected[name](), progress, "scenes")
     walls: list[list[float]] = [[] for _ in names]
     verdicts = [""] * len(names)
 
@@ -271,17 +270,15 @@ def bench_first_calls(
     Raises:
         InputError: A call is unknown.
     """
-    names = list(calls) or list(CALLS)
-    if unknown := [name for name in names if name not in CALLS]:
-        raise InputError(f"no call '{unknown[0]}'; the calls are {', '.join(CALLS)}")
+    programs = [*select_named(calls, CALLS, "call").items()]
 
-    def measure(name: str) -> SimpleNamespace:
-        seconds = [time_in_fresh_process(CALLS[name]) for _ in range(_PROCESSES)]
+    def measure(named_call: tuple[str, str]) -> SimpleNamespace:
+        name, call = named_call
+        seconds = [time_in_fresh_process(call) for _ in range(_PROCESSES)]
         return SimpleNamespace(call=name, seconds=float(np.median(seconds)))
 
-    return Table(
-        "first_calls", tuple(one_by_one(names, measure, progress, "calls")), {"seconds": "s"}
-    )
+    rows = tuple(one_by_one(programs, measure, progress, "calls"))
+    return Table("first_calls", rows, {"seconds": "s"})
 
 
 def time_in_fresh_process(call: str) -> float:

@@ -6,10 +6,10 @@ problem. A solver prepares runs of a problem, or of a batch of members, at a tol
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
+from ...common.names import nearest
 from ...judge.reference_solution import FullMotion, FullState
 from ...scene.initial_state import random_state
 from ...scene.scene import Scene
@@ -288,24 +289,43 @@ def _factories() -> dict[str, Callable[[], Problem]]:
 SCENES = _factories()
 
 
+T = TypeVar("T")
+
+
+def select_named(names: Sequence[str] | None, table: Mapping[str, T], what: str) -> dict[str, T]:
+    """Select the entries of a table with the given names.
+
+    Args:
+        names: Names; all names of the table if there are none.
+        table: Entries by name.
+        what: Word for an entry, such as "scene".
+    Returns:
+        The entries by name, each once.
+    Raises:
+        InputError: Unknown name.
+    """
+    for name in names or ():
+        if name not in table:
+            hint = nearest(name, list(table))
+            raise InputError(f"no {what} '{name}'; {hint}the {what}s are {', '.join(table)}")
+    return {name: table[name] for name in names or table}
+
+
 @checks_arguments
 def problems_named(names: Sequence[str] | None = None) -> tuple[list[Problem], list[str]]:
     """Build the problems with the given names.
 
     Args:
-        names: Names in SCENES; BARS if None.
+        names: Names in SCENES; BARS if there are none.
     Returns:
         The problems, and one message for each problem that needs a missing package.
     Raises:
         InputError: Unknown name.
     """
-    requested = list(dict.fromkeys(BARS if names is None else names))
-    for name in requested:
-        if name not in SCENES:
-            raise InputError(f"no scene '{name}'; the scenes are {', '.join(SCENES)}")
-    unavailable = [n for n in requested if n in _EXAMPLES and not has_example_robots()]
+    factories = select_named(names or BARS, SCENES, "scene")
+    unavailable = [] if has_example_robots() else [name for name in factories if name in _EXAMPLES]
     missing = [f"{name} is left out: {INSTALL_ROBOTS}" for name in unavailable]
-    return [SCENES[name]() for name in requested if name not in unavailable], missing
+    return [make() for name, make in factories.items() if name not in unavailable], missing
 
 
 _SPREAD = 0.05  # standard deviation of the members' rates (relative) and shapes [rad | m]

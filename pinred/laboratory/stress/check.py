@@ -13,12 +13,13 @@ from typing import Literal, TypeAlias, TypeVar
 
 import numpy as np
 
-from ...common.errors import InputError, PinredError
+from ...common.errors import PinredError
 from ...integrators.methods import DOP853, RKMK4, AdaptiveGauss, Gauss, Method
 from ...simulation.members.trajectories import Trajectories
 from ...simulation.simulate import simulate
 from ...simulation.simulate_many import simulate_many
 from ...simulation.trajectory import Trajectory
+from ..bench.problems import select_named
 
 T = TypeVar("T")
 _TIGHT = 1e-8  # largest relative tolerance for the `adaptive` methods
@@ -169,10 +170,7 @@ EPS = 2.220446049250313e-16
 
 def select_checks(names: Sequence[str]) -> list[Check]:
     """Return the named checks, or all if `names` is empty; raise InputError for an unknown name."""
-    unknown = [name for name in names if name not in CHECKS]
-    if unknown:
-        raise InputError(f"no check '{unknown[0]}'; the checks are {', '.join(CHECKS)}")
-    return [CHECKS[name] for name in names or CHECKS]
+    return list(select_named(names, CHECKS, "check").values())
 
 
 def run_checks(

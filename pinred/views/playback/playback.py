@@ -14,7 +14,8 @@ import pinocchio as pin
 from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...common.names import quoted
-from ...judge.stop_reference import StoppedFullState, full_state_of
+from ...judge.compare import full_state_of
+from ...judge.stop_reference import StoppedFullState
 from ...lie.rotations import rotation
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory

