@@ -23,14 +23,13 @@ from pinred.laboratory.corpus.run_corpus import Corpus, Worker, corpus, find_des
 from pinred.laboratory.corpus.trial import (
     Description,
     Entry,
-    TrialOptions,
     differences,
     run_trial,
     why_not_due,
 )
 from pinred.system import independent_reader
 
-QUICK = TrialOptions(duration=0.05)
+QUICK = 0.05  # duration of motions [s]
 ARM = f'<body name="arm">{HINGE}{MASS}</body>'
 FIXED = mjcf(body(ARM))
 SWINGING = mjcf(f'<body name="arm">{HINGE}{MASS}</body>')

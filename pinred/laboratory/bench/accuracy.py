@@ -53,7 +53,7 @@ from .problems import (
     problems_named,
     select_named,
 )
-from .timing import Table, alternating, repeated
+from .timing import Table, alternating, repeated, timed
 from .work_precision import ERRORS, NAME, Point, WorkPrecision, read_record, write_record
 
 FROM_TOLERANCE = decades(2, 14)
@@ -310,9 +310,9 @@ def _first_runs(
             continue
         try:
             prepared = method.prepare(problem, tolerance)
-            result, wall = _run_timed(prepared)
+            result, wall = timed(prepared.run)
             if wall > effort.patience:  # may include time to compile or load code
-                result, wall = _run_timed(prepared)
+                result, wall = timed(prepared.run)
             point = _point(problem, reference, method.name, tolerance, prepared, result)
         except PinredError as error:
             yield Point(method.name, tolerance, failure=str(error)), None
@@ -323,12 +323,6 @@ def _first_runs(
                 f"not run: a coarser tolerance took {wall:.2g} s, more than the limit of "
                 f"{effort.patience:g} s"
             )
-
-
-def _run_timed(prepared: PreparedRun) -> tuple[object, float]:
-    began = time.perf_counter()
-    result = prepared.run()
-    return result, time.perf_counter() - began
 
 
 def _point(

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import cycle
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 
@@ -222,12 +223,9 @@ def bench_films(robots: Sequence[str] = (), *, progress: Progress | bool | None 
 
 def _bench_film(name: str) -> SimpleNamespace:
     traj = simulate(load(name, gravity=(0.0, 0.0, 0.0)), seed=1, duration=_SPAN)
-    frames, seconds = Frames(traj, View(fps=FILM_FPS), SIZE), []
-    frames.draw(0.0)  # loads or compiles the code
-    for t in np.linspace(0.0, _SPAN, _TIMED).tolist():
-        began = time.process_time()
-        frames.draw(t)
-        seconds.append(time.process_time() - began)
+    frames, times = Frames(traj, View(fps=FILM_FPS), SIZE), cycle(np.linspace(0.0, _SPAN, _TIMED))
+    draw = repeated(lambda: frames.draw(float(next(times))))
+    seconds = alternating([draw], rounds=_TIMED, span=0.0, clock=time.process_time)
     frame = float(np.median(seconds))
     return SimpleNamespace(
         robot=name, triangles=frames.triangles, frame=frame, per_second=1.0 / frame

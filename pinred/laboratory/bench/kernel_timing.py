@@ -6,7 +6,6 @@ cost of a flow is relative to a run, that of a kernel's derivative to an evaluat
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -55,6 +54,7 @@ from .timing import (
     fastest,
     repeated,
     robots_to_measure,
+    timed,
 )
 
 _BUNDLED = ("coupled_planar", "planar_chain5", "falling_cat", "satellite_two_arms")
@@ -97,10 +97,12 @@ def _bench_kernel(name: str) -> SimpleNamespace:
 
 def _build(system: System) -> tuple[Kernel, float]:
     """Build the kernel with momentum and without forces; return it and the time [s]."""
-    began = time.perf_counter()
-    structure = Structure(zero_momentum=False, cyclic=cyclic_joints(PointwiseReduction(system)))
-    kernel = build_kernel(system, structure, cache=NoCache())
-    return kernel, time.perf_counter() - began
+
+    def build() -> Kernel:
+        structure = Structure(zero_momentum=False, cyclic=cyclic_joints(PointwiseReduction(system)))
+        return build_kernel(system, structure, cache=NoCache())
+
+    return timed(build)
 
 
 _MANY, _SHORT = 400, 5e-4  # many short rounds [s], so that some are not interrupted

@@ -26,7 +26,7 @@ import numpy as np
 from ...common.errors import InputError, LoadError
 from ...common.files import write_table
 from ...system.robot_files import bundled_robots, example_robots
-from .trial import GOOD, Description, Entry, Kind, Outcome, TrialOptions, run_trial
+from .trial import GOOD, Description, Entry, Kind, Outcome, run_trial
 
 _WARM_UP = 60.0  # additional time [s] of a new process for its imports
 
@@ -34,9 +34,9 @@ _WARM_UP = 60.0  # additional time [s] of a new process for its imports
 class Worker:
     """A process for trials, started on first use; it ends with the `with` block."""
 
-    def __init__(self, options: TrialOptions, patience: float) -> None:
-        """Store the options of trials and the time limit of one description [s]."""
-        self._options, self._patience = options, patience
+    def __init__(self, duration: float, patience: float) -> None:
+        """Store the duration of motions and the time limit of one description [s]."""
+        self._duration, self._patience = duration, patience
         self._process: multiprocessing.process.BaseProcess | None = None
         self._pipe: Connection | None = None
         self._cache = tempfile.TemporaryDirectory(prefix="pinred-corpus-")
@@ -77,7 +77,7 @@ class Worker:
         context = multiprocessing.get_context("spawn")
         self._pipe, child_end = context.Pipe()
         self._process = context.Process(
-            target=_serve, args=(child_end, self._options, self._cache.name), daemon=True
+            target=_serve, args=(child_end, self._duration, self._cache.name), daemon=True
         )
         self._process.start()
         child_end.close()
@@ -93,7 +93,7 @@ class Worker:
         self._process = self._pipe = None
 
 
-def _serve(pipe: Connection, options: TrialOptions, cache: str) -> None:
+def _serve(pipe: Connection, duration: float, cache: str) -> None:
     """Try descriptions from a pipe until the pipe closes.  cache: folder for compiled kernels."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     os.environ["PINRED_CACHE_DIR"] = cache  # an empty cache, so that times include compilation
@@ -104,7 +104,7 @@ def _serve(pipe: Connection, options: TrialOptions, cache: str) -> None:
             description: Description = pipe.recv()
         except EOFError:
             return
-        pipe.send(run_trial(description, options))
+        pipe.send(run_trial(description, duration))
 
 
 _LONGEST = 1e6  # longest time limit that the operating system can wait for [s]
@@ -239,7 +239,7 @@ def corpus(
         raise InputError("no URDF, MJCF or SDF files to try; name folders with some, or robots")
     entries: list[Entry] = []
     try:
-        with Worker(TrialOptions(duration), patience) as worker:
+        with Worker(duration, patience) as worker:
             for number, description in enumerate(descriptions, start=1):
                 entries.append(worker.run_trial(description))
                 if out is not None and number % _WRITE_INTERVAL == 0:

@@ -278,25 +278,21 @@ _CHOICES = 5  # largest number of choices tried per file
 _WEIGHTLESS = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class TrialOptions:
-    """Options of trials.
+def run_trial(description: Description, duration: float) -> Entry:
+    """Try a description, and convert any exception to an outcome.
 
-    Attributes:
+    Args:
+        description: The description.
         duration: Duration of the motion [s].
+    Returns:
+        The outcome.
     """
-
-    duration: float = 0.5
-
-
-def run_trial(description: Description, options: TrialOptions) -> Entry:
-    """Try a description, and convert any exception to an outcome."""
     began = time.perf_counter()
     entry = Entry(file=description.file, kind=description.kind, outcome="passed")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            entry = _try_description(description, options, entry)
+            entry = _try_description(description, duration, entry)
     except Exception as error:  # any other exception is a defect of pinred that the table must show
         entry = replace(
             entry, outcome="error", reason=f"{type(error).__name__}: {_line(error)}",
@@ -310,7 +306,7 @@ def run_trial(description: Description, options: TrialOptions) -> Entry:
     return replace(entry, wall=time.perf_counter() - began)
 
 
-def _try_description(description: Description, options: TrialOptions, entry: Entry) -> Entry:
+def _try_description(description: Description, duration: float, entry: Entry) -> Entry:
     began = time.perf_counter()
     try:
         system, choices = _load_with_choices(description.file, {})
@@ -330,11 +326,11 @@ def _try_description(description: Description, options: TrialOptions, entry: Ent
     began = time.perf_counter()
     try:
         try:
-            report, wall = _compare_with_aba(system, options.duration)
+            report, wall = _compare_with_aba(system, duration)
         except SymmetryError:
             system = load(description.file, **{**choices, "gravity": _WEIGHTLESS})
             began = time.perf_counter()
-            report, wall = _compare_with_aba(system, options.duration)
+            report, wall = _compare_with_aba(system, duration)
             entry = replace(entry, outcome=_worse(entry, "without gravity"))
     except IntegrationError as error:
         return replace(

@@ -195,26 +195,16 @@ def _correction(group: Group) -> Tangent | None:
 _STEPS = halvings(50, 14)
 
 ABA = (
-    Solver(
-        "aba-euler",
-        "pin.aba and semi-implicit Euler in Python, equal steps",
-        _STEPS,
-        _stepped(_euler, 1),
-        fixed=True,
-    ),
-    Solver(
-        "aba-rk4",
-        "pin.aba and classical RK4 with pin.integrate in Python, equal steps",
-        _STEPS,
-        _stepped(partial(_rk4, corrected=False), 4),
-        fixed=True,
-    ),
-    Solver(
-        "aba-rkmk4",
-        "pin.aba and RK4 of Munthe-Kaas in Python, equal steps",
-        _STEPS,
-        _stepped(partial(_rk4, corrected=True), 4),
-        fixed=True,
+    *(
+        Solver(
+            f"aba-{name}", f"pin.aba and {text} in Python, equal steps", _STEPS,
+            _stepped(scheme, stages), fixed=True,
+        )
+        for name, text, scheme, stages in (
+            ("euler", "semi-implicit Euler", _euler, 1),
+            ("rk4", "classical RK4 with pin.integrate", partial(_rk4, corrected=False), 4),
+            ("rkmk4", "RK4 of Munthe-Kaas", partial(_rk4, corrected=True), 4),
+        )
     ),
     *scipy_methods("aba", "pin.aba", aba_field),
-)
+)  # fmt: skip
