@@ -10,7 +10,7 @@ kinematics are called once with symbols, and CasADi compiles the resulting expre
 Times at which conditions on time change are found by sampling the forces' conditions, independent
 of the search for the stops of integrators. All conditions are sampled densely, with a bisection
 between samples that differ, so a pulse that is shorter than the sample spacing can be missed. Such
-a pulse is detected if the motion stops at one of its ends, because the middle of each span is
+a pulse is detected if the motion stops at both of its ends, because the middle of each span is
 sampled, too.
 """
 
