@@ -27,7 +27,7 @@ from pinred.laboratory.bench import (
     method_comparison,
     timing,
 )
-from pinred.laboratory.bench.batch_timing import BATCH_SOLVERS
+from pinred.laboratory.bench.call_timing import BATCH_SOLVERS
 from pinred.laboratory.bench.kernel_timing import scaling_table
 from pinred.laboratory.bench.method_comparison import CANDIDATES, choice_of
 from pinred.laboratory.bench.problems import chain

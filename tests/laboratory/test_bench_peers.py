@@ -20,7 +20,13 @@ from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.kernels.state_layout import Structure
 from pinred.laboratory.bench import SOLVERS, Problem, reference_of
-from pinred.laboratory.bench.peers.aba import ABA, full_vector_field
+from pinred.laboratory.bench.peers.aba import (
+    ABA,
+    EQUAL,
+    equality,
+    full_vector_field,
+    missing_unless_equal,
+)
 from pinred.laboratory.bench.peers.cvodes import full_graph
 from pinred.laboratory.bench.peers.drake import DrakeModel, check_in_child_process
 from pinred.laboratory.bench.peers.exudyn import (
@@ -31,7 +37,6 @@ from pinred.laboratory.bench.peers.exudyn import (
     spin_matrix,
     spin_rate,
 )
-from pinred.laboratory.bench.peers.full_models import EQUAL, equality, missing_unless_equal
 from pinred.laboratory.bench.peers.mujoco import MujocoModel
 from pinred.laboratory.bench.problems import Solver
 from pinred.lie import GROUPS

@@ -9,12 +9,12 @@ from .accuracy import Reference as Reference
 from .accuracy import bench_accuracy as bench_accuracy
 from .accuracy import own_method as own_method
 from .accuracy import reference_of as reference_of
-from .batch_timing import bench_many as bench_many
-from .batch_timing import bench_threads as bench_threads
 from .call_timing import bench_compare as bench_compare
 from .call_timing import bench_films as bench_films
 from .call_timing import bench_first_calls as bench_first_calls
 from .call_timing import bench_floquet as bench_floquet
+from .call_timing import bench_many as bench_many
+from .call_timing import bench_threads as bench_threads
 from .kernel_timing import bench_derivatives as bench_derivatives
 from .kernel_timing import bench_flow as bench_flow
 from .kernel_timing import bench_forces as bench_forces

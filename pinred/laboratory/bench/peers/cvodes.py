@@ -26,7 +26,7 @@ from ....common.errors import IntegrationError, UnsupportedOperationError
 from ....lie.group import Group
 from ....system.system import System
 from ..problems import ATOL, End, PreparedRun, Problem, Solver, decades
-from .full_models import missing_unless_equal, no_mass_matrix
+from .aba import missing_unless_equal, no_mass_matrix
 from .heyoka import reduced_graph
 
 

@@ -18,7 +18,7 @@ from ....common.arrays import Array
 from ....common.errors import IntegrationError
 from ....system.system import System
 from ..problems import End, PreparedRun, Problem, Solver, decades
-from .full_models import frame_rotation_term, missing_unless_equal, root_rotation
+from .aba import frame_rotation_term, missing_unless_equal, root_rotation
 
 
 def check_in_child_process(run: Callable[[], object], who: str) -> None:

@@ -16,7 +16,7 @@ from ....common.arrays import Array
 from ....common.errors import IntegrationError, UnsupportedOperationError
 from ....kernels.reduced_graph import ReducedGraph
 from ..problems import PreparedRun, Problem, Solver, compile_members, decades
-from .full_models import INSTALL
+from .aba import INSTALL
 
 
 def has_heyoka() -> bool:

@@ -15,13 +15,7 @@ from ....common.errors import UnsupportedOperationError
 from ....lie.group import Group
 from ....system.system import System
 from ..problems import End, PreparedRun, Problem, Solver, halvings, steps_of
-from .full_models import (
-    Field,
-    frame_rotation_term,
-    missing_unless_equal,
-    root_rotation,
-    scipy_methods,
-)
+from .aba import Field, frame_rotation_term, missing_unless_equal, root_rotation, scipy_methods
 
 
 class MujocoModel:
