@@ -68,8 +68,8 @@ def axial_momentum_drifts(
         for ball, rows in zip(balls, momenta, strict=True):
             i = system.sorted_joints[ball.joint.v.start]
             at = slice(model.idx_vs[i], model.idx_vs[i] + 3)
-            own = (model.inertias[i] * data.v[i]).angular + model.armature[at] * v[at]
-            rows.append(own if ball.axis is None else np.atleast_1d(ball.axis @ own))
+            axial = (model.inertias[i] * data.v[i]).angular + model.armature[at] * v[at]
+            rows.append(axial if ball.axis is None else np.atleast_1d(ball.axis @ axial))
     drifts: list[Array] = []
     for ball, rows in zip(balls, momenta, strict=True):
         i = system.sorted_joints[ball.joint.v.start]
@@ -375,8 +375,8 @@ def _inertial_forces(system: System, q0: Array, changes: Array, size: float) -> 
         else np.append(angular[: system.r], angular[system.r :][system.coupled.leads])
     )
     fastest = size * changes[:, rotates].sum(axis=1) + changes[:, ~rotates].sum(axis=1)
-    moved = system.sizes_on_shape(mass * np.where(angular, size, 1.0))
-    return np.outer(fastest, moved)
+    carried_masses = system.sizes_on_shape(mass * np.where(angular, size, 1.0))
+    return np.outer(fastest, carried_masses)
 
 
 @dataclass(frozen=True)

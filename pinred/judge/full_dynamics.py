@@ -70,20 +70,21 @@ def condition_times(forces: ForceModel, stops: Array, numbers: Array) -> Array:
     while a.size and (b - a).max() > _RESOLUTION * end:
         middle = 0.5 * (a + b)
         at = _values(forces, conditions, middle, numbers)
-        left, right = (at != at_a).any(axis=1), (at != at_b).any(axis=1)
-        a, b = np.append(a[left], middle[right]), np.append(middle[left], b[right])
+        lower, upper = (at != at_a).any(axis=1), (at != at_b).any(axis=1)
+        a, b = np.append(a[lower], middle[upper]), np.append(middle[lower], b[upper])
         at_a, at_b = (
-            np.concatenate(rows) for rows in ((at_a[left], at[right]), (at[left], at_b[right]))
+            np.concatenate(halves)
+            for halves in ((at_a[lower], at[upper]), (at[lower], at_b[upper]))
         )
     return np.unique(b)
 
 
 def _values(forces: ForceModel, conditions: ca.Function, times: Array, numbers: Array) -> Array:
     """Return the values of all conditions, (T, C), at times (T,)."""
-    mapped, rows = conditions.map(len(times)), np.repeat(numbers[None], len(times), axis=0)
-    forces.set_span(rows, times)
-    values = mapped(times[None], rows.T)
-    return np.asarray(values.T)
+    mapped, parameters = conditions.map(len(times)), np.repeat(numbers[None], len(times), axis=0)
+    forces.set_span(parameters, times)
+    conditions_at_times = mapped(times[None], parameters.T)
+    return np.asarray(conditions_at_times.T)
 
 
 @dataclass(frozen=True)
@@ -354,8 +355,8 @@ class FullDynamics:
         Returns:
             The full state (..., n).
         """
-        values, rates = self.couplings.values(x), self.couplings.rates(xdot)
-        return np.concatenate([pose, values, xi, rates], axis=-1)
+        coordinates, rates = self.couplings.values(x), self.couplings.rates(xdot)
+        return np.concatenate([pose, coordinates, xi, rates], axis=-1)
 
     def _apply_couplings(self, y: Array) -> Array:
         """Return y with follower joints set from their leaders, and with closed loops."""

@@ -186,8 +186,8 @@ class Configuration:
         if not self._has_circles:
             return np.concatenate((root_q, joints), axis=-1)
         angles = joints[..., self._circles]
-        parts = root_q, joints, np.cos(angles), np.sin(angles)
-        return np.asarray(np.concatenate(parts, axis=-1)[..., self._order])
+        entries = root_q, joints, np.cos(angles), np.sin(angles)
+        return np.asarray(np.concatenate(entries, axis=-1)[..., self._order])
 
     def normalised(self, joints: Array) -> Array:
         """Return the coordinates of all joints, (..., size), with quaternions of length one."""
@@ -355,7 +355,7 @@ def _at_states(function: Callable[..., Any], *arrays: Array) -> Array:
     """Return a function's results at one state, or at T states with a leading axis."""
     if arrays[0].ndim == 1:
         return np.asarray(function(*arrays))
-    return np.array([function(*rows) for rows in zip(*arrays, strict=True)])
+    return np.array([function(*state) for state in zip(*arrays, strict=True)])
 
 
 def mass_matrix(model: pin.Model, data: pin.Data, q: Array) -> Array:
@@ -535,13 +535,13 @@ class CouplingConstraints:
 
     def values(self, x: Array) -> Array:
         """Return the coordinates of all joints at shape x (..., nx)."""
-        values, at = np.zeros((*x.shape[:-1], self._count_x), dtype=x.dtype), self._at_x
-        values[..., self.leads_x] = x
+        coordinates, at = np.zeros((*x.shape[:-1], self._count_x), dtype=x.dtype), self._at_x
+        coordinates[..., self.leads_x] = x
         for follower, ratios, offset in self._couplings:
-            values[..., at[follower]] = offset
+            coordinates[..., at[follower]] = offset
             for leader, ratio in ratios.items():
-                values[..., at[follower]] += ratio * values[..., at[leader]]
-        return values
+                coordinates[..., at[follower]] += ratio * coordinates[..., at[leader]]
+        return coordinates
 
     def rates(self, xdot: Array) -> Array:
         """Return the rates of all joints at shape rate ẋ (..., m)."""
@@ -625,17 +625,18 @@ class CouplingConstraints:
         prescribed: Array | Sequence[float],
     ) -> Array:
         """Return the acceleration (nv,) of `acceleration` without couplings and loops."""
-        rows = self._free_rows.get(driven)
-        if rows is None:
-            rows = self._free_rows[driven] = _FreeRows(
+        equations = self._free_rows.get(driven)
+        if equations is None:
+            equations = self._free_rows[driven] = _FreeRows(
                 len(v), [len(v) - self._count + int(k) for k in driven]
             )
-        H, force, known = rows.inputs
+        H, force, known = equations.inputs
         H[:] = pin.crba(self._model, self._data, q).ravel()
         np.subtract(tau, pin.nonLinearEffects(self._model, self._data, q, v), out=force)
         known[:] = prescribed
-        rows.run()
-        _, a, failure = dposv(rows.matrix, rows.right, 1, 1)  # lower triangle, overwritten
+        equations.run()
+        # Only the lower triangle is read; matrix and right side are overwritten.
+        _, a, failure = dposv(equations.matrix, equations.right, 1, 1)
         if failure:  # Cholesky's method needs a matrix that is positive despite round-off
             return self._solve_with_multipliers(q, v, tau, driven, prescribed)
         return np.asarray(a)

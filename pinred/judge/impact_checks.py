@@ -93,17 +93,17 @@ def contact_errors(traj: Trajectory, full: StoppedFullState, times: Array) -> Ar
     table = traj.impacts
     if not len(table):
         return np.zeros(len(times))
-    place = {(row.joint, row.side): k for k, row in enumerate(full.rows)}
-    rows = np.array([place[each] for each in zip(table.joint, table.side, strict=True)])
-    gaps = np.abs(full.gaps(full_states(traj, full, table.t)))[np.arange(len(rows)), rows]
-    units = defect_units(traj, full)[1][[full.rows[k].x for k in rows]]
-    errors = np.cumsum(np.minimum(gaps, _allowed_distances(traj, full)[rows]) / units)
+    index_of_side = {(stop.joint, stop.side): k for k, stop in enumerate(full.rows)}
+    sides = np.array([index_of_side[key] for key in zip(table.joint, table.side, strict=True)])
+    gaps = np.abs(full.gaps(full_states(traj, full, table.t)))[np.arange(len(sides)), sides]
+    units = defect_units(traj, full)[1][[full.rows[k].x for k in sides]]
+    errors = np.cumsum(np.minimum(gaps, _allowed_distances(traj, full)[sides]) / units)
     return np.append(0.0, errors)[np.searchsorted(table.t, times, side="left")]
 
 
 def _allowed_distances(traj: Trajectory, full: StoppedFullState) -> Array:
     """Return the largest distances beyond stops that pass, (R,) [rad | m]."""
-    sizes = np.array([max(1.0, abs(row.position)) for row in full.rows])
+    sizes = np.array([max(1.0, abs(stop.position)) for stop in full.rows])
     return np.asarray(GAP_BOUND * (traj.scene.atol + traj.scene.rtol * sizes))
 
 
@@ -133,8 +133,8 @@ class _Rules:
     def of(cls, traj: Trajectory, full: StoppedFullState, times: Array, bounds: Array) -> _Rules:
         """Return the rules for a motion; see check_stops."""
         units = defect_units(traj, full)[1][-full.system.model.nv :]
-        sizes = {(row.joint, row.side): max(1.0, abs(row.position)) for row in full.rows}
-        rates = {row.joint: float(units[row.v]) for row in full.rows}
+        sizes = {(stop.joint, stop.side): max(1.0, abs(stop.position)) for stop in full.rows}
+        rates = {stop.joint: float(units[stop.v]) for stop in full.rows}
         end = traj.scene.end
         return cls(full.slowest, traj.scene.rtol * end, end, sizes, rates, times, bounds)
 
@@ -199,8 +199,8 @@ def _cluster(hits: list[Hit], t: float, rules: _Rules) -> tuple[float, float]:
     near = sorted((hit for hit in hits if hit.speed > rules.slowest), key=lambda hit: hit.t)
     errors = np.array([rules.time_error(hit) for hit in near])
     times = np.array([hit.t for hit in near])
-    apart = np.diff(times) > errors[1:] + errors[:-1] + rules.together
-    label = np.append(0, np.cumsum(apart))
+    is_separate = np.diff(times) > errors[1:] + errors[:-1] + rules.together
+    label = np.append(0, np.cumsum(is_separate))
     first, last = times[label == label[np.searchsorted(times, t)]][[0, -1]]
     return float(first), float(last)
 
@@ -233,8 +233,8 @@ def check_stops(
             "initial state changes which joints hit their stops, or in which order; compare a "
             "shorter motion, or a tighter tolerance"
         )
-    own = _hits_of(traj.impacts)
-    pairs, differs, undecided = pair_impacts(own, hits, min(until, traj.scene.end), rules)
+    simulated = _hits_of(traj.impacts)
+    pairs, differs, undecided = pair_impacts(simulated, hits, min(until, traj.scene.end), rules)
     if undecided < np.inf:
         reasons.append(
             f"the order of the impacts at t = {undecided:g} s cannot be told: they are closer "
@@ -246,7 +246,7 @@ def check_stops(
         (abs(a.impulse - b.impulse) / max(abs(b.impulse), 1e-300), rules.impulse_error(b))
         for a, b in pairs
     ]
-    strengths += _impulses_at_rest(pairs, own, hits, rules)
+    strengths += _impulses_at_rest(pairs, simulated, hits, rules)
     wrong = float(differs < min(until, traj.scene.end))
     checks = [
         ("impacts in other order", wrong, 0.0),
@@ -265,7 +265,9 @@ def _impulses_at_rest(
     """Return the errors of impulses on joints that others push, relative to those, with bounds."""
     errors = []
     for a, b in pairs:
-        mine, others = ([h for h in each if h.t == t] for each, t in ((own, a.t), (hits, b.t)))
+        mine, others = (
+            [h for h in impulses if h.t == t] for impulses, t in ((own, a.t), (hits, b.t))
+        )
         if [(h.joint, h.side) for h in mine] != [(h.joint, h.side) for h in others]:
             continue
         errors += [
@@ -331,11 +333,11 @@ def _pull(traj: Trajectory, full: StoppedFullState) -> float:
     pull = largest = 0.0
     energies = full.totals.kinetic_energy(full.q(y), full.shapes_and_velocities(y)[1])
     round_off = PULL_BY_ROUND_OFF * float(energies.max())
-    for rest, rows in traj.motion.resting(times):
-        if not rest:
+    for resting_bounds, indices in traj.motion.resting(times):
+        if not resting_bounds:
             continue
-        resting = tuple(map(traj.scene.bounds.index, rest))
-        for k in rows.tolist():
+        resting = tuple(map(traj.scene.bounds.index, resting_bounds))
+        for k in indices.tolist():
             full.set_parameters(numbers[k])
             reactions = full.reactions(float(times[k]), y[k], resting)
             pull = max(pull, float(-reactions.min()) - round_off)
@@ -373,8 +375,8 @@ class ImpactReport:
         return Verdict.PASSED if is_passed else Verdict.FAILED
 
     def __str__(self) -> str:
-        rows = [self.title, "full mass matrices and one linear system for each impulse"]
-        return "\n".join([*rows, *table_of(self.checks), f"  verdict: {self.verdict}"])
+        lines = [self.title, "full mass matrices and one linear system for each impulse"]
+        return "\n".join([*lines, *table_of(self.checks), f"  verdict: {self.verdict}"])
 
 
 @checks_arguments
@@ -406,8 +408,8 @@ class ChainReport:
         return self.passed
 
     def __str__(self) -> str:
-        parts = [str(part) for part in (*self.phases, *self.impacts)]
-        return "\n\n".join([*parts, f"verdict of the chain: {self.verdict}"])
+        reports = [str(report) for report in (*self.phases, *self.impacts)]
+        return "\n\n".join([*reports, f"verdict of the chain: {self.verdict}"])
 
     def __repr__(self) -> str:
         count = f"{len(self.phases)} motions and {len(self.impacts)} impacts"
@@ -467,9 +469,9 @@ class _Body:
         model, data = self.model, self.model.createData()
         pin.forwardKinematics(model, data, self.q, v)
         pin.updateFramePlacements(model, data)
-        kind = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         return {
-            str(f.name): pin.getFrameVelocity(model, data, k, kind).vector
+            str(f.name): pin.getFrameVelocity(model, data, k, axes).vector
             for k, f in enumerate(model.frames)
             if f.type == pin.FrameType.BODY and f.parentJoint > 0
         }
@@ -502,8 +504,8 @@ def _loop_rows(system: System, q: Array) -> Array:
     if not system.loops:
         return np.empty((0, system.sorted_model.nv))
     J = LoopKinematics(system.sorted_model, system.loops).jacobian(q)
-    _, sizes, rows = np.linalg.svd(J, full_matrices=False)
-    return np.asarray(rows[sizes > RANK * sizes[0]])
+    _, sizes, directions = np.linalg.svd(J, full_matrices=False)
+    return np.asarray(directions[sizes > RANK * sizes[0]])
 
 
 def _solve(H: Array, C: Array, v: Array) -> tuple[Array, Array]:
@@ -512,8 +514,8 @@ def _solve(H: Array, C: Array, v: Array) -> tuple[Array, Array]:
     Redundant rows, as of planar robots, have the smallest λ.
     """
     size = np.sqrt(np.diag(H))  # scale the unknowns, so that light joints count
-    rows, n = C / size, len(v)
-    matrix = np.block([[H / np.outer(size, size), rows.T], [rows, np.zeros((len(C), len(C)))]])
+    scaled, n = C / size, len(v)
+    matrix = np.block([[H / np.outer(size, size), scaled.T], [scaled, np.zeros((len(C), len(C)))]])
     right = np.concatenate([(H @ v) / size, np.zeros(len(C))])
     solution = np.linalg.lstsq(matrix, right, rcond=1e-12)[0]
     return solution[:n] / size, -solution[n:]
@@ -539,9 +541,9 @@ def _capture(capture: Capture) -> dict[str, float]:
     H = np.block([[a.H, np.zeros((na, len(b.v)))], [np.zeros((len(b.v), na)), b.H]])
     v = np.concatenate([a.v, b.v])
     # The frames may be apart by the tolerance: the second frame moves as if fixed to the first.
-    apart = b.placement(capture.onto).translation - a.placement(capture.at).translation
+    offset = b.placement(capture.onto).translation - a.placement(capture.at).translation
     carried = np.eye(6)
-    carried[:3, 3:] = -pin.skew(apart)
+    carried[:3, 3:] = -pin.skew(offset)
     meeting = np.hstack([carried @ a.rows(capture.at), -b.rows(capture.onto)])
     k = len(a.constraints)
     inner = np.zeros((k + len(b.constraints), len(v)))
@@ -570,33 +572,33 @@ def _capture(capture: Capture) -> dict[str, float]:
 
 
 def _release(release: Release) -> dict[str, float]:
-    whole = _Body(release.whole, release.before)
-    parts = [_Body(p.system, p.instant) for p in (release.carrier, release.released)]
-    links = {name: twist for part in parts for name, twist in part.twists(part.v).items()}
-    energy, momentum = whole.energy(whole.v), whole.momentum(whole.v)
-    size = float(np.sum([np.abs(part.momentum(part.v)) for part in parts], axis=0).max())
-    after = np.sum([part.momentum(part.v) for part in parts], axis=0)
+    joined = _Body(release.whole, release.before)
+    bodies = [_Body(p.system, p.instant) for p in (release.carrier, release.released)]
+    links = {name: twist for body in bodies for name, twist in body.twists(body.v).items()}
+    energy, momentum = joined.energy(joined.v), joined.momentum(joined.v)
+    size = float(np.sum([np.abs(body.momentum(body.v)) for body in bodies], axis=0).max())
+    after = np.sum([body.momentum(body.v) for body in bodies], axis=0)
     twists = _root_twists(release.whole)
     return {
-        "velocities after [relative]": _twist_error(links, whole.twists(whole.v), whole.v),
+        "velocities after [relative]": _twist_error(links, joined.twists(joined.v), joined.v),
         "momentum across it [relative]": _difference(twists.T @ after, twists.T @ momentum, size),
         "energy after [relative]": _difference(
-            sum(part.energy(part.v) for part in parts), energy, energy
+            sum(body.energy(body.v) for body in bodies), energy, energy
         ),
     }
 
 
 def _landing(landing: Landing) -> dict[str, float]:
     body = _Body(landing.system, landing.before)
-    rows = 3 if landing.contact == "point" else 6
-    stopped = np.vstack([body.rows(frame)[:rows] for frame in landing.frames])
+    directions = 3 if landing.contact == "point" else 6
+    stopped = np.vstack([body.rows(frame)[:directions] for frame in landing.frames])
     after, multipliers = _solve(body.H, np.vstack([stopped, body.constraints]), body.v)
     landed = _Body(landing.system, landing.instant)
-    found, expected = landed.twists(landed.v), body.twists(after)
+    twists, expected = landed.twists(landed.v), body.twists(after)
     energy, size = body.energy(body.v), float(np.abs(body.momentum(body.v)).max())
-    impulse = multipliers[: len(stopped)].reshape(-1, rows)
+    impulse = multipliers[: len(stopped)].reshape(-1, directions)
     errors = {
-        "velocities after [relative]": _twist_error(found, expected, body.v),
+        "velocities after [relative]": _twist_error(twists, expected, body.v),
         "impulse [relative]": _difference(
             stopped.T @ landing.impulse.ravel(), stopped.T @ impulse.ravel(),
             max(size, float(np.abs(landing.impulse).max())),

@@ -82,10 +82,10 @@ def own_method(
     """
 
     def prepare(problem: Problem, tolerance: float) -> PreparedRun:
-        start, value = problem.start, tolerance * (problem.start.duration if fixed else 1.0)
+        start, scaled = problem.start, tolerance * (problem.start.duration if fixed else 1.0)
         options: dict[str, Any] = {"rtol": tolerance, "atol": ATOL * tolerance}
         if make is not None:
-            options = {"method": make(value)}
+            options = {"method": make(scaled)}
 
         def run() -> Any:
             traj = simulate(
@@ -348,7 +348,7 @@ def _point(
         IntegrationError: The final state is not finite.
     """
     end = prepared.end(result)
-    if not all(np.isfinite(values).all() for values in (end.x, end.q, end.v)):
+    if not all(np.isfinite(numbers).all() for numbers in (end.x, end.q, end.v)):
         raise IntegrationError("the final state is not finite")
     distance = problem.full.distance(reference.end, end.motion)
     drift = compute_drift(problem, end.q, end.v)
@@ -429,7 +429,7 @@ _EQUAL_ERROR = ("run", "problem", "error", "method", "wall", "times_pinred", "re
 
 def _write_equal_error(folder: Path, results: Sequence[WorkPrecision]) -> None:
     """Write run times and their ratios at equal errors, interpolated between the points."""
-    values = (
+    table_rows = (
         (
             *(result.run, result.problem, error, method, result.wall_at(method, error)),
             result.ratio_at(method, error) if YARDSTICK in result.about else "",
@@ -439,7 +439,7 @@ def _write_equal_error(folder: Path, results: Sequence[WorkPrecision]) -> None:
         for error in ERRORS
         for method in result.about
     )
-    records = [dict(zip(_EQUAL_ERROR, row, strict=True)) for row in values]
+    records = [dict(zip(_EQUAL_ERROR, columns, strict=True)) for columns in table_rows]
     write_table(folder / "equal_error.csv", _EQUAL_ERROR, records)
 
 
@@ -478,13 +478,13 @@ def _tables_of(results: Sequence[WorkPrecision], scenes: list[str]) -> str:
     kinds[title] = _following_cell
     texts = []
     for title, format_cell in kinds.items():
-        rows = []
+        table_rows = []
         for name in names:
             runs = {scene: _run_with_yardstick(results, scene, name) for scene in scenes}
             cells = {s: format_cell(run, name) if run else "—" for s, run in runs.items()}
             if set(cells.values()) != {"—"}:
-                rows.append(SimpleNamespace(method=name, **cells))
-        texts += [str(Table("overview", tuple(rows), title=title))] if rows else []
+                table_rows.append(SimpleNamespace(method=name, **cells))
+        texts += [str(Table("overview", tuple(table_rows), title=title))] if table_rows else []
     return "\n\n".join(texts)
 
 
@@ -501,8 +501,8 @@ def _run_with_yardstick(
 def _time_cell(error: float, result: WorkPrecision, name: str) -> str:
     """Format pinred's wall time [ms], or the ratio of another method's time to that time."""
     is_pinred = name == YARDSTICK
-    value = 1e3 * result.wall_at(name, error) if is_pinred else result.ratio_at(name, error)
-    return "—" if np.isnan(value) else f"{value:.3g}"
+    number = 1e3 * result.wall_at(name, error) if is_pinred else result.ratio_at(name, error)
+    return "—" if np.isnan(number) else f"{number:.3g}"
 
 
 def _following_cell(result: WorkPrecision, method: str) -> str:

@@ -163,18 +163,17 @@ def bench_floquet(*, rounds: int = 5, progress: Progress | bool | None = None) -
         multipliers relative to the largest |μ|.
     """
     measure = partial(_measure_routes, rounds=rounds)
-    rows = one_by_one(list(PROBLEMS), measure, progress, "floquet")
-    return Table(
-        "floquet", tuple(row for some in rows for row in some), {"period": "s", "wall": "s"}
-    )
+    tables = one_by_one(list(PROBLEMS), measure, progress, "floquet")
+    rows = tuple(row for table in tables for row in table)
+    return Table("floquet", rows, {"period": "s", "wall": "s"})
 
 
 def _measure_routes(name: str, rounds: int) -> list[SimpleNamespace]:
     least = relative_equilibria(load(name), momentum=PROBLEMS[name], starts=50)[0]
     T = 2.0 * np.pi / float(least.frequencies[0])
     traj = simulate(least.scene(duration=T))
-    values = linearise(traj).eigenvalues
-    exact = _sort_by_angle(np.exp(values * T))
+    eigenvalues = linearise(traj).eigenvalues
+    exact = _sort_by_angle(np.exp(eigenvalues * T))
     routes: list[Callable[[], Array]] = [
         lambda: floquet(traj).monodromy,
         lambda: _differences(least, T),

@@ -88,10 +88,10 @@ def _bench_kernel(name: str) -> SimpleNamespace:
     v = system.joint_rates(rng.normal(size=system.n))
     tau = np.zeros(model.nv)
     actions = [evaluations(kernel), repeated(lambda: pin.aba(model, data, q, v, tau))]
-    own, aba = (1e6 * np.median(alternating(actions), axis=0)).tolist()
+    cost, aba = (1e6 * np.median(alternating(actions), axis=0)).tolist()
     return SimpleNamespace(
-        robot=name, joints=system.m, instructions=kernel.instructions, build=build, kernel=own,
-        pin_aba=aba, ratio=aba / own,
+        robot=name, joints=system.m, instructions=kernel.instructions, build=build, kernel=cost,
+        pin_aba=aba, ratio=aba / cost,
     )  # fmt: skip
 
 
@@ -128,8 +128,8 @@ def _bench_forces(name: str) -> SimpleNamespace:
     system = load(name, gravity=(0.0, 0.0, 0.0))
     kernels = [_kernel(system, force) for force in (None, *_forces(system))]
     # A few percent can only be measured in rounds that the operating system does not interrupt.
-    free, *others = fastest([evaluations(k) for k in kernels], rounds=_MANY, span=_SHORT)
-    torque, wrench, full = (seconds / free for seconds in others)
+    free, *forced = fastest([evaluations(k) for k in kernels], rounds=_MANY, span=_SHORT)
+    torque, wrench, full = (seconds / free for seconds in forced)
     return SimpleNamespace(
         robot=name, free=1e6 * free, torque=torque, wrench=wrench, full=full,
         integrated=", ".join(str(kernel.layout.size) for kernel in kernels),
@@ -257,7 +257,7 @@ def _bench_flow(name: str) -> SimpleNamespace:
     options: Any = {"seed": 1, "duration": _SPAN}
     motion = ["x0", "xdot0", "xi0"]
     links = [*system.model.names][1:]
-    bodies = [f"{link}.{kind}" for link in links for kind in ("mass", "com")]
+    bodies = [f"{link}.{quantity}" for link in links for quantity in ("mass", "com")]
     by_motion = flow(system, wrt=motion, method="DOP853", rtol=1e-8, **options)
     by_all = flow(system, wrt=[*motion, *bodies], method="DOP853", rtol=1e-8, **options)
     by_gauss = flow(system, wrt=motion, method="AdaptiveGauss", rtol=1e-10, **options)
@@ -279,13 +279,13 @@ def _bench_flow(name: str) -> SimpleNamespace:
         lambda: simulate(scene).x,
         lambda: step.linear().by_state,
     ]
-    for made in (by_motion, by_all, by_gauss):
-        at = _Elsewhere(made)
-        actions += [partial(_run, made, at), partial(_gradient, made, at, one)]
+    for timed_flow in (by_motion, by_all, by_gauss):
+        at = _Elsewhere(timed_flow)
+        actions += [partial(_run, timed_flow, at), partial(_gradient, timed_flow, at, one)]
     at = _Elsewhere(by_motion)
     actions += [lambda: by_motion(x0=at()).x, *_of_jax(by_motion)]
     seconds = fastest([repeated(action) for action in actions], rounds=_ROUNDS, span=_BURST)
-    alone, whole, linear, *runs = (1e6 * each for each in seconds)
+    alone, whole, linear, *runs = (1e6 * lapse for lapse in seconds)
     call, *of_jax = runs[6:]
     jax, jax_gradient = of_jax or (np.nan, np.nan)
     beside = beside_cvodes(by_motion, 1e-8)
@@ -326,12 +326,12 @@ def _of_jax(made: Flow) -> list[Callable[[], object]]:
     except ImportError:
         return []
     function, at = made.jax(), _Elsewhere(made)
-    rest = [made.own(name) for name in made.inputs if name != "x0"]
-    whole = jax.jit(function)
-    slope = jax.jit(jax.grad(lambda *given: function(*given).sum(), range(1 + len(rest))))
+    inputs = [made.own(name) for name in made.inputs if name != "x0"]
+    compiled_flow = jax.jit(function)
+    slope = jax.jit(jax.grad(lambda *given: function(*given).sum(), range(1 + len(inputs))))
     return [
-        lambda: jax.block_until_ready(whole(at(), *rest)),
-        lambda: jax.block_until_ready(slope(at(), *rest)),
+        lambda: jax.block_until_ready(compiled_flow(at(), *inputs)),
+        lambda: jax.block_until_ready(slope(at(), *inputs)),
     ]
 
 
@@ -339,21 +339,24 @@ def _evaluations(made: Flow) -> list[float]:
     """Return times relative to the rate: the adjoint, and kernels with variable parameters."""
     kernel = made.propagator.kernel
     system = kernel.system
-    every = tuple(range(system.model.njoints - 1))
-    steps = [[(i, pattern_of(system, i)) for i in every[1:]], [(i, "x" * STEP) for i in every[1:]]]
+    bodies = tuple(range(system.model.njoints - 1))
+    steps = [
+        [(i, pattern_of(system, i)) for i in bodies[1:]],
+        [(i, "x" * STEP) for i in bodies[1:]],
+    ]
     loose = [
-        build_kernel(system, replace(kernel.structure, freed=freed), kernel.forces)
-        for freed in (Freed(every), *(Freed(every, tuple(some)) for some in steps))
+        build_kernel(system, replace(kernel.structure, freed=variable), kernel.forces)
+        for variable in (Freed(bodies), *(Freed(bodies, tuple(pattern)) for pattern in steps))
     ]
     rng = np.random.default_rng(0)
     y = 0.5 * rng.normal(size=kernel.layout.size)
     rates = [(one.rate.address, one.random_parameters(rng)) for one in (kernel, *loose)]
     adjoint, p, covector = made.propagator.field.adjoint(), rates[0][1], np.ones(len(y))
-    out = np.empty(len(y) + len(p))
+    cotangents = np.empty(len(y) + len(p))
     folded, *loosened, back = fastest(
         [
             *(repeated(partial(repeat, address, numbers, y, _COUNT)) for address, numbers in rates),
-            repeated(lambda: repeat_adjoint(adjoint, y, p, covector, out, _COUNT)),
+            repeated(lambda: repeat_adjoint(adjoint, y, p, covector, cotangents, _COUNT)),
         ],
         rounds=_ROUNDS,
         span=_BURST,
@@ -435,8 +438,8 @@ def _cvodes(made: Flow, tolerance: float) -> Any:
     y, p = ca.SX.sym("y", rate.numel_in(0)), ca.SX.sym("p", rate.numel_in(1))
     options = {"reltol": tolerance, "abstol": 1e-2 * tolerance, "max_num_steps": _MOST}
     dae = {"x": y, "p": p, "ode": rate(y, p)}
-    whole = ca.integrator("cvodes", "cvodes", dae, 0.0, made.scene.end, options)
-    return whole.factory("adjoint", ["x0", "p", "adj:xf"], ["adj:x0", "adj:p"])
+    integrator = ca.integrator("cvodes", "cvodes", dae, 0.0, made.scene.end, options)
+    return integrator.factory("adjoint", ["x0", "p", "adj:xf"], ["adj:x0", "adj:p"])
 
 
 _DERIVATIVE_ROUNDS = 100
@@ -467,11 +470,11 @@ def _bench_derivatives(name: str) -> SimpleNamespace:
     system = load(name, gravity=(0.0, 0.0, 0.0))
     options: Any = {"seed": 1, "duration": _SPAN, "method": "DOP853", "rtol": 1e-8}
     made = flow(system, wrt=["x0", "xdot0", "xi0"], **options)
-    at, along = _Elsewhere(made), {"x0": np.ones(system.m)}
-    covector = np.ones(sum(rows.stop - rows.start for rows in made.outputs.values()))
+    at, direction_of_x0 = _Elsewhere(made), {"x0": np.ones(system.m)}
+    covector = np.ones(sum(place.stop - place.start for place in made.outputs.values()))
     flows = [
         repeated(partial(_run, made, at)),
-        repeated(lambda: made.jvp(along, x0=at())),
+        repeated(lambda: made.jvp(direction_of_x0, x0=at())),
         repeated(partial(_gradient, made, at, covector)),
     ]
     often: Any = {"rounds": _DERIVATIVE_ROUNDS, "span": _BURST}
@@ -497,7 +500,7 @@ def kernel_repetitions(made: Flow) -> list[Any]:
     (solution,) = made.run({}).solutions
     y, p = solution.states[0].copy(), solution.params
     n = len(y)
-    dy, dp, out = np.ones(n), np.ones(len(p)), np.empty(2 * n)
+    dy, dp, tangents = np.ones(n), np.ones(len(p)), np.empty(2 * n)
     wide = np.ones(n * SEEDS), np.ones(len(p) * SEEDS), np.empty(n * SEEDS)
     covector, back = np.ones(n), np.empty(n + len(p))
     matrix, columns = np.empty(n * n), np.empty((n, n + SEEDS))
@@ -505,7 +508,7 @@ def kernel_repetitions(made: Flow) -> list[Any]:
     tangent = tangent_of(kernel).address
     return [
         partial(repeat, kernel.rate.address, p, y),
-        partial(_repeat_tangent, function.pair.address, y, p, dy, dp, out),
+        partial(_repeat_tangent, function.pair.address, y, p, dy, dp, tangents),
         partial(_repeat_tangent, function.tangent.address, y, p, *wide),
         partial(repeat_adjoint, function.adjoint.address, y, p, covector, back),
         partial(_repeat_jacobian, jacobian_code(kernel).address, y, p, matrix),

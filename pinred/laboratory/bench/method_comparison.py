@@ -91,9 +91,9 @@ def bench_evaluations(
 def _count_evaluations(problem: Problem) -> Table:
     truth = problem.full.run(problem.full_start(), problem.times, *FINEST)
     runs: dict[str, Run] = {
-        name: _by_pinred(problem, partial(_explicit, kind))
-        for name, kind in METHODS.items()
-        if issubclass(kind, Explicit)
+        name: _by_pinred(problem, partial(_explicit, method))
+        for name, method in METHODS.items()
+        if issubclass(method, Explicit)
     }
     runs["AdaptiveGauss, sweeps"] = _by_pinred(
         problem, lambda tol: AdaptiveGauss(tol, ATOL * tol), AdaptiveGauss.stages
@@ -102,11 +102,11 @@ def _count_evaluations(problem: Problem) -> Table:
     notes = () if find_spec("extensisq") else (f"more methods: {INSTALL}",)
     if not notes:
         module = import_module("extensisq")
-        published |= {name: getattr(module, kind) for name, kind in _EXTENSISQ.items()}
-    runs |= {name: _by_scipy(problem, kind) for name, kind in published.items()}
+        published |= {name: getattr(module, method) for name, method in _EXTENSISQ.items()}
+    runs |= {name: _by_scipy(problem, method) for name, method in published.items()}
     runs[_WITHOUT_BASE] = _by_scipy(problem, "DOP853", _without_base(problem))
     runs[_ONE_SCALE] = _by_scipy(problem, "DOP853", _norm_by_kind(problem))
-    rows = []
+    table_rows = []
     for name, run in runs.items():
         ends = [end for tolerance in _TOLERANCES if (end := run(tolerance)) is not None]
         points = [(problem.apart(truth, end.motion), end.evaluations) for end in ends]
@@ -114,10 +114,10 @@ def _count_evaluations(problem: Problem) -> Table:
             f"{target:.0e}": min((n for error, n in points if error <= target), default=np.nan)
             for target in ERRORS
         }
-        rows.append(SimpleNamespace(method=name, **counts))
+        table_rows.append(SimpleNamespace(method=name, **counts))
     title = f"{problem.name}: {problem.about}"
     shared = {"problem": problem.name}
-    return Table("evaluations", tuple(rows), title=title, notes=notes, shared=shared)
+    return Table("evaluations", tuple(table_rows), title=title, notes=notes, shared=shared)
 
 
 def _by_pinred(problem: Problem, make: Callable[[float], Method], stages: int = 1) -> Run:
@@ -160,8 +160,8 @@ def _without_base(problem: Problem) -> Norm:
 def _norm_by_kind(problem: Problem) -> Norm:
     largest = np.abs(_solve(problem, "DOP853", 1e-6, 1e-8).y).max(axis=1)
     m = problem.system.m
-    for kind in (slice(0, m), slice(m, 2 * m), slice(2 * m, None)):
-        largest[kind] = largest[kind].max(initial=0.0)
+    for entries in (slice(0, m), slice(m, 2 * m), slice(2 * m, None)):
+        largest[entries] = largest[entries].max(initial=0.0)
     # The relative tolerance is the smallest that SciPy accepts without a warning.
     return lambda tol: (1e-13, tol * largest)
 
@@ -208,8 +208,8 @@ def bench_methods(
         the final reduced state.
     """
     cases = list(_cases(scenes or None, held))
-    results = one_by_one(cases, lambda case: measure(*case), progress, "methods")
-    rows = tuple(row for row in results if row is not None)
+    comparisons = one_by_one(cases, lambda case: measure(*case), progress, "methods")
+    rows = tuple(row for row in comparisons if row is not None)
     ratios = np.array([row.ratio for row in rows])
     share = 100.0 * float((ratios <= GOOD).mean())
     note = (
@@ -326,12 +326,12 @@ def held_robot(seed: int) -> Scene:
     for name in system.shape_names:
         stiffness = float(10.0 ** rng.uniform(*_STIFFNESS))
         damping = stiffness * float(10.0 ** rng.uniform(*_RATIO))
-        kind = rng.integers(4)
-        if kind == 0:
+        choice = rng.integers(4)
+        if choice == 0:
             forces.append(Spring(name, stiffness, 0.1))
-        elif kind == 1:
+        elif choice == 1:
             forces.append(Damper(name, damping))
-        elif kind == 2:
+        elif choice == 2:
             forces.append(PD({name: float(rng.uniform(-0.5, 0.5))}, stiffness, damping))
     x0, xdot0 = rng.normal(scale=(0.3, 1.0), size=(system.m, 2)).T
     xi0 = rng.normal(scale=0.3, size=system.r)

@@ -175,28 +175,28 @@ class Corpus:
         groups: dict[tuple[str, str], list[Entry]] = {}
         for entry in bad:
             groups.setdefault((entry.outcome, entry.about), []).append(entry)
-        rows = []
+        lines = []
         for (outcome, about), entries in sorted(groups.items(), key=lambda g: -len(g[1])):
             due = sum(entry.due for entry in entries)
-            rows.append(f"{len(entries):>5} {outcome:<8} {about} (should work: {due})")
+            lines.append(f"{len(entries):>5} {outcome:<8} {about} (should work: {due})")
             shown = next((entry for entry in entries if entry.due), entries[0])
-            rows.append(f"      {shown.file}: {shown.reason[:160]}")
-        return "\n".join(rows)
+            lines.append(f"      {shown.file}: {shown.reason[:160]}")
+        return "\n".join(lines)
 
     def slowest(self) -> str:
         """Format percentiles of the times for loading and for the first simulation."""
-        rows = []
+        lines = []
         for what in ("load", "simulate"):
             times = np.array([getattr(e, what) for e in self.entries])
             finite = times[np.isfinite(times)]
             if finite.size:
                 half, most = np.percentile(finite, [50, 99])
                 slow = self.entries[int(np.nanargmax(times))]
-                rows.append(
+                lines.append(
                     f"{what}: half in {half:.2f} s, 99 % in {most:.2f} s, all in "
                     f"{finite.max():.2f} s ({slow.file}, {slow.joints} joints)"
                 )
-        return "\n".join(rows)
+        return "\n".join(lines)
 
 
 def corpus(
@@ -339,8 +339,8 @@ def find_descriptions(folders: Iterable[str | Path]) -> SearchResult:
             copies += content in contents
             if content not in contents:
                 contents.add(content)
-                kind = _KINDS[header.tag]
-                descriptions.append(Description(str(path), kind, path.resolve() in included))
+                language = _KINDS[header.tag]
+                descriptions.append(Description(str(path), language, path.resolve() in included))
     return SearchResult(tuple(descriptions), fragments, macros, copies)
 
 

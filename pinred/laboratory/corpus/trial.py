@@ -426,8 +426,8 @@ def _compare_readings(description: Description, root: str | None, entry: Entry) 
     entry = replace(entry, reader=reading.reader)
     if reading.differences:
         about = f"{reading.reader} reads it differently"
-        own = f"{about}: {'; '.join(reading.differences)}"
-        reason = f"{own}; {entry.reason}" if entry.outcome == "FAILED" else own
+        differing = f"{about}: {'; '.join(reading.differences)}"
+        reason = f"{differing}; {entry.reason}" if entry.outcome == "FAILED" else differing
         return replace(entry, outcome="FAILED", reason=reason[:400], about=about)
     return entry
 
@@ -632,8 +632,8 @@ class _Pair:
         """Give MuJoCo's joints the armature of pinred's, which MuJoCo does not read from URDF."""
         model = self._system.model
         for joint, number in zip(list(model.joints)[2:], self._shape, strict=True):
-            values = model.armature[joint.idx_v : joint.idx_v + joint.nv]
-            self._model.dof_armature[_dofs(self._model, [number])] = values
+            armature = model.armature[joint.idx_v : joint.idx_v + joint.nv]
+            self._model.dof_armature[_dofs(self._model, [number])] = armature
 
     def at_random(self, rng: np.random.Generator) -> Differences:
         """Compute the differences at a random state."""

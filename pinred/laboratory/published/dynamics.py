@@ -236,8 +236,8 @@ def steady_rotations(name: str, momentum: float) -> Equilibria:
 def coupled_planar() -> Numbers:
     """Compare the fractions of docs/theory.md with the mass matrix."""
     red = Reduction(load("coupled_planar"))
-    found = [*red.local_connection([0.7])[:, 0], red.reduced_metric([0.7])[0, 0]]
-    return numbers([0.0, -1.0 / 30.0, 4.0 / 15.0, 11.0 / 60.0], found)
+    coefficients = [*red.local_connection([0.7])[:, 0], red.reduced_metric([0.7])[0, 0]]
+    return numbers([0.0, -1.0 / 30.0, 4.0 / 15.0, 11.0 / 60.0], coefficients)
 
 
 @row(
@@ -247,8 +247,9 @@ def coupled_planar() -> Numbers:
 )
 def two_bodies_count() -> Numbers:
     """Compare the count of steady rotations: stretched out (stable) and folded (unstable)."""
-    found = steady_rotations("two bodies", 2.0)
-    return numbers([2, 1], [len(found), sum(each.verdict == "stable" for each in found)])
+    rotations = steady_rotations("two bodies", 2.0)
+    stable = [rotation for rotation in rotations if rotation.verdict == "stable"]
+    return numbers([2, 1], [len(rotations), len(stable)])
 
 
 @row(
@@ -260,14 +261,14 @@ def two_bodies_count() -> Numbers:
 def two_bodies_oscillation() -> Numbers:
     """Compare μ √(ε d₁ d₂/(M I²)) with the spectrum of both steady rotations."""
     mu, e, cross = 2.0, MASS[0] * MASS[1] / sum(MASS), ARM[0] * ARM[1]
-    own = np.array(MOMENT) + e * np.square(ARM)
+    moments = np.array(MOMENT) + e * np.square(ARM)
     expected = []
     for cosine in (1.0, -1.0):
-        total = own.sum() + 2.0 * e * cross * cosine
-        metric = (own[0] * own[1] - (e * cross) ** 2) / total
+        total = moments.sum() + 2.0 * e * cross * cosine
+        metric = (moments[0] * moments[1] - (e * cross) ** 2) / total
         expected.append(mu * np.sqrt(e * cross / metric) / total)
-    found = steady_rotations("two bodies", mu)
-    return numbers(expected, [found[0].frequencies[0], found[1].growth])
+    rotations = steady_rotations("two bodies", mu)
+    return numbers(expected, [rotations[0].frequencies[0], rotations[1].growth])
 
 
 @row(
@@ -293,8 +294,8 @@ def three_bodies_triangle() -> Numbers:
     p, q, s = 1.0 / K[0, 1], 1.0 / K[1, 2], 1.0 / K[0, 2]
     first = np.arccos((q**2 + s**2 - p**2) / (2.0 * q * s))
     second = np.arccos((p**2 + s**2 - q**2) / (2.0 * p * s))
-    found = steady_rotations("short middle", 1.0)
-    angles = [np.mod(each.x, 2.0 * np.pi) for each in found]
+    rotations = steady_rotations("short middle", 1.0)
+    angles = [np.mod(rotation.x, 2.0 * np.pi) for rotation in rotations]
     bent = next(x for x in angles if np.abs(np.sin(x)).min() > 1e-3 and x[0] < np.pi)
     return numbers([np.pi - first, np.pi - second], [bent[0], bent[1]])
 
@@ -308,8 +309,8 @@ def three_bodies_triangle() -> Numbers:
 def three_rods() -> Numbers:
     """Compare the fractions with the spectrum of the steady rotation."""
     lowest = steady_rotations("three_rods", 1.0)[0]
-    found = np.sort(lowest.frequencies) / abs(lowest.xi[2])
-    return numbers([np.sqrt(2.5), np.sqrt(8.1)], found)
+    frequencies = np.sort(lowest.frequencies) / abs(lowest.xi[2])
+    return numbers([np.sqrt(2.5), np.sqrt(8.1)], frequencies)
 
 
 @row(
@@ -327,8 +328,8 @@ def six_rods() -> Numbers:
     traj = simulate(load(chain(*rods), group="SE2"), x0=[0.0] * 5, xdot0=[0.0] * 5,
                     xi0=[0.0, 2.5, 1.0], duration=0.1)  # fmt: skip
     spectrum = linearise(traj, 0.0).eigenvalues
-    found = np.sort(spectrum.imag[spectrum.imag > 0.1])
-    return numbers(np.sqrt(squares), found)
+    frequencies = np.sort(spectrum.imag[spectrum.imag > 0.1])
+    return numbers(np.sqrt(squares), frequencies)
 
 
 Spectrum: TypeAlias = NDArray[np.complex128]
@@ -388,7 +389,7 @@ def spectrum(alpha: float) -> Spectrum:
 
 def spectrum_by_pinred(alpha: float) -> Spectrum:
     """Return the eigenvalues of the steady motion, linearised by pinred."""
-    square, omega = (each.real for each in steady(alpha))
+    square, omega = (number.real for number in steady(alpha))
     first = -np.arcsin(np.sqrt(square))
     second = -np.arcsin(alpha * np.sqrt(square) / RATIO) - first
     x0 = {"tilt1": first, "swing2": 0.0, "tilt2": second}
@@ -422,8 +423,8 @@ def pendulum_fold() -> Numbers:
     """Compare the zero of dJ/dα, by complex steps, with a zero eigenvalue of the motion."""
     slope = lambda alpha: momentum(alpha + 1e-30j).imag  # noqa: E731
     expected = brentq(slope, -1.9, -1.75, xtol=1e-14)
-    found = brentq(lambda alpha: cubic(spectrum_by_pinred(alpha))[2], -1.9, -1.75, xtol=1e-13)
-    return numbers([expected, momentum(expected).real], [found, momentum(found).real])
+    fold = brentq(lambda alpha: cubic(spectrum_by_pinred(alpha))[2], -1.9, -1.75, xtol=1e-13)
+    return numbers([expected, momentum(expected).real], [fold, momentum(fold).real])
 
 
 @row(
@@ -566,19 +567,19 @@ def hopper() -> Numbers:
 def diver_arm() -> Numbers:
     """Compare an arctangent with a simulation of robots/diver at zero momentum."""
     shoulder, arm = np.array([0.2, 0.45]), np.array([0.0, -0.3])  # across and up [m]
-    parts = ((42.0, [0.0, 0.2], 2.2), (25.0, [0.0, -0.5], 1.6), (4.0, [-0.2, 0.75], 0.12))
-    mass = sum(part[0] for part in parts)
-    centre = np.asarray(sum(m * np.array(c) for m, c, _ in parts)) / mass
-    own = sum(moment + m * np.sum((np.array(c) - centre) ** 2) for m, c, moment in parts)
-    out, e = shoulder - centre, 4.0 * mass / (4.0 + mass)
-    P = own + 0.12 + e * (out @ out + arm @ arm)
-    Q = 2.0 * e * np.hypot(*out) * np.hypot(*arm)
-    least = np.arctan2(out[1], out[0]) - np.arctan2(arm[1], arm[0])
+    bodies = ((42.0, [0.0, 0.2], 2.2), (25.0, [0.0, -0.5], 1.6), (4.0, [-0.2, 0.75], 0.12))
+    mass = sum(body[0] for body in bodies)
+    centre = np.asarray(sum(m * np.array(c) for m, c, _ in bodies)) / mass
+    without_arm = sum(moment + m * np.sum((np.array(c) - centre) ** 2) for m, c, moment in bodies)
+    offset, e = shoulder - centre, 4.0 * mass / (4.0 + mass)
+    P = without_arm + 0.12 + e * (offset @ offset + arm @ arm)
+    Q = 2.0 * e * np.hypot(*offset) * np.hypot(*arm)
+    least = np.arctan2(offset[1], offset[0]) - np.arctan2(arm[1], arm[0])
     angles = np.array([0.0, np.pi]) - least
     turns = np.floor((angles + np.pi) / (2.0 * np.pi))
     root = np.sqrt(P**2 - Q**2)
     primitive = 2.0 / root * (np.arctan(root / (P + Q) * np.tan(0.5 * angles)) + np.pi * turns)
-    more = 0.12 - own + e * (arm @ arm - out @ out)
+    more = 0.12 - without_arm + e * (arm @ arm - offset @ offset)
     tilt = 0.5 * (np.pi + more * (primitive[1] - primitive[0]))
     robot = load("diver", lock={"hips": [0, 0, 0], "right_shoulder": [np.pi, 0, 0]})
     swing = {"left_shoulder": [f"{np.pi!r}*(1 + cos({np.pi!r}*t))/2", "0*t", "0*t"]}
@@ -645,8 +646,8 @@ def virtual_manipulator() -> Numbers:
     """Compare virtual links about the centre of mass with the generalised Jacobian."""
     x = np.array([0.4, 0.9])
     arm = FloatingArm(load("floating_arm"), "hand")
-    found = arm.generalized_jacobian(x, axes="world")[:2]
-    return numbers(virtual_jacobian(x).ravel(), found.ravel())
+    jacobian = arm.generalized_jacobian(x, axes="world")[:2]
+    return numbers(virtual_jacobian(x).ravel(), jacobian.ravel())
 
 
 @row(
@@ -682,20 +683,20 @@ def satellite_arm() -> Numbers:
     )  # fmt: skip
 
     half = 0.5 * arm  # at the shoulder, so it moves with the base
-    rest = mass + half
-    e, lever = half * rest / (half + rest), at * mass / rest
-    own = 2000.0 + mass * half / rest * at**2 + e * lever**2
+    carrier = mass + half
+    e, lever = half * carrier / (half + carrier), at * mass / carrier
+    base_inertia = 2000.0 + mass * half / carrier * at**2 + e * lever**2
 
     def by_shoulder(length: float) -> float:
         """Return the integral of A while the shoulder turns from 0 to 90°."""
         link, Q = 50.0 + e * length**2, 2.0 * e * lever * length
-        P = own + link
+        P = base_inertia + link
         root = np.sqrt(P**2 - Q**2)
-        return float(0.25 * np.pi + (link - own) / root * np.arctan(root / (P + Q)))
+        return float(0.25 * np.pi + (link - base_inertia) / root * np.arctan(root / (P + Q)))
 
     def by_boom(length: float) -> float:
         """Return the integral of A while the boom at 90° grows from zero to a length."""
-        scale = np.sqrt(e / (own + 50.0))
+        scale = np.sqrt(e / (base_inertia + 50.0))
         return float(lever * scale * np.arctan(scale * length))
 
     changes = (by_shoulder(reach), by_boom(reach + 1.0) - by_boom(reach), -by_shoulder(reach + 1.0))

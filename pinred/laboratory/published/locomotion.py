@@ -146,8 +146,8 @@ def spheroid() -> Numbers:
     q = 1.0 / e**2 - (1.0 - e**2) / (2.0 * e**3) * log
     turn = e**4 * (q - p) / ((2.0 - e**2) * (2.0 * e**2 - (2.0 - e**2) * (q - p)))
     volume = 4.0 / 3.0 * np.pi * 2.0
-    found = np.diag(Ellipsoid((2.0, 1.0, 1.0)).tensor) / volume
-    return numbers([p / (2.0 - p), q / (2.0 - q), turn], [found[0], found[1], found[5]])
+    added_masses = np.diag(Ellipsoid((2.0, 1.0, 1.0)).tensor) / volume
+    return numbers([p / (2.0 - p), q / (2.0 - q), turn], added_masses[[0, 1, 5]])
 
 
 @row(
@@ -213,7 +213,7 @@ def roller_racer() -> Numbers:
     gait = Gait.fourier([0.0], [[0.0]], [[0.6]])
 
     def rate(t: float, y: Array) -> list[float]:
-        phi, dphi = (float(each[0]) for each in gait.at(t))
+        phi, dphi = (float(coordinate[0]) for coordinate in gait.at(t))
         ddphi = -((2.0 * np.pi) ** 2) * phi
         s, b = np.sin(phi), front * np.cos(phi) + back
         ds, db = np.cos(phi) * dphi, -front * s * dphi

@@ -193,5 +193,5 @@ def summary(results: Sequence[Result]) -> str:
 
 def _first(text: str) -> str:
     """Return at most two of the numbers of a text."""
-    values = text.split(", ")
-    return ", ".join(values[:2]) + (", …" if len(values) > 2 else "")
+    words = text.split(", ")
+    return ", ".join(words[:2]) + (", …" if len(words) > 2 else "")

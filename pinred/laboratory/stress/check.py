@@ -202,21 +202,21 @@ def run_check(
 
 def table(outcomes: Sequence[Outcome]) -> str:
     """Format a table with the worst case of each check, followed by all failed cases."""
-    rows = [
+    lines = [
         f"{'check':<16} {'cases':>5} {'measured':>9} {'bound':>9}        {'wall':>6} s  worst case"
     ]
-    rows += [
+    lines += [
         f"{outcome.name:<16} {len(outcome.cases):>5} {outcome.measured:>9.1e} "
         f"{outcome.bound:>9.1e} {'ok' if outcome.passed else 'FAILED':>6} {outcome.wall:>8.1f}  "
         f"{'' if outcome.worst is None else outcome.worst.name}"
         for outcome in outcomes
     ]
     for outcome in outcomes:
-        rows += [f"{outcome.name}: {case}" for case in outcome.cases if not case.passed]
+        lines += [f"{outcome.name}: {case}" for case in outcome.cases if not case.passed]
         if outcome.stopped:
-            rows.append(
+            lines.append(
                 f"{outcome.name}: stopped after {len(outcome.cases)} cases: {outcome.stopped}"
             )
     passed = sum(outcome.passed for outcome in outcomes)
-    rows.append(f"{passed} of {len(outcomes)} checks passed")
-    return "\n".join(rows)
+    lines.append(f"{passed} of {len(outcomes)} checks passed")
+    return "\n".join(lines)

@@ -234,7 +234,7 @@ def _energies(system: System, q: Array, v: Array) -> tuple[Array, Array]:
     """Compute total and kinetic energies, (T,) each, with Pinocchio."""
     model, data = system.model, system.model.createData()
     kinetic = np.array([pin.computeKineticEnergy(model, data, *s) for s in zip(q, v, strict=True)])
-    height = np.array([pin.computePotentialEnergy(model, data, row) for row in q])
+    height = np.array([pin.computePotentialEnergy(model, data, q_k) for q_k in q])
     return kinetic + height, kinetic
 
 
@@ -303,8 +303,8 @@ def _momenta(system: System, q: Array, v: Array) -> Array:
     centred[:, : system.group.linear] = 0.0
     return np.array(
         [
-            pin.computeCentroidalMomentum(model, data, *row).angular.copy()
-            for row in zip(centred, v, strict=True)
+            pin.computeCentroidalMomentum(model, data, *state).angular.copy()
+            for state in zip(centred, v, strict=True)
         ]
     )
 

@@ -308,7 +308,7 @@ def zero_momentum(trial: Trial) -> Cases:
 def _effect_by_aba(scene: Scene, options: dict[str, Any]) -> float:
     """Compute with ABA the change of the final shape that the momentum causes."""
     scenes = (Scene(system=scene.system, momentum=0, **options), scene)
-    a, b = (aba_reference(each, each.report_times).motion.x[-1] for each in scenes)
+    a, b = (aba_reference(case, case.report_times).motion.x[-1] for case in scenes)
     return float(np.abs(a - b).max())
 
 

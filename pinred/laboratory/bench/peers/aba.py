@@ -3,10 +3,11 @@
 The model of another tool is timed only if its mass matrix and accelerations equal Pinocchio's.
 SciPy's integrators run over the vector field of any model.
 
-ABA is integrated by hand-written methods and by SciPy's. The methods with fixed steps integrate Pinocchio's (q, v) with pin.integrate. SciPy's methods
-integrate the state (root, x, v) of judge/reference_solution.py. The judge's vector field takes ten
-times as long as `pin.aba` and would make SciPy's methods look slow. The field here allocates no
-array except its result and computes the kinematics of the root with Python floats.
+ABA is integrated by hand-written methods and by SciPy's. The methods with fixed steps integrate
+Pinocchio's (q, v) with pin.integrate. SciPy's methods integrate the state (root, x, v) of
+judge/reference_solution.py. The judge's vector field takes ten times as long as `pin.aba` and would
+make SciPy's methods look slow. The field here allocates no array except its result and computes the
+kinematics of the root with Python floats.
 """
 
 from __future__ import annotations
@@ -279,10 +280,10 @@ def full_vector_field(system: System) -> Callable[[float, Array], Array]:
         v = y[first_v:]
         if has_circles:
             q = buffer
-            values: list[float] = []
-            for value, circle in zip(y[:first_v].tolist(), circles, strict=True):
-                values += (cos(value), sin(value)) if circle else (value,)
-            q[:] = values
+            entries: list[float] = []
+            for coordinate, circle in zip(y[:first_v].tolist(), circles, strict=True):
+                entries += (cos(coordinate), sin(coordinate)) if circle else (coordinate,)
+            q[:] = entries
         else:
             q = y[:first_v]
         ydot[:size] = root_rate(y[:size].tolist(), v[:r].tolist())

@@ -96,7 +96,7 @@ class DrakeModel:
             ends = (f"joint{i}", frame, body.body_frame())
             joint = plant.AddJoint(self._joint(tree, S, ends))
             if (name := str(model.names[i])) in limits:
-                joint.set_position_limits(*([value] for value in limits[name]))
+                joint.set_position_limits(*([limit] for limit in limits[name]))
             armature = float(model.armature[model.joints[i].idx_v])
             if armature:
                 plant.AddJointActuator(f"rotor{i}", joint).set_default_rotor_inertia(armature)
