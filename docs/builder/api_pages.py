@@ -62,7 +62,7 @@ TASKS = (
         "analysis.phases", "planning.", "reduction.",
     )),
     Task("impacts", "Stops, captures, releases and landings", (
-        "scene.stop", "simulation.contact", "simulation.impacts", "judge.compare_chain",
+        "scene.stop", "simulation.contact", "simulation.impacts", "judge.impact_checks",
     )),
     Task("stability", "Steady motions and stability", (
         "analysis.branches", "analysis.equilibria", "analysis.stability",

@@ -51,6 +51,8 @@ def test_call_timing_counts_integrations(monkeypatch: pytest.MonkeyPatch) -> Non
     assert f"{result.seconds:.3g}" in str(table)
     with pytest.raises(InputError, match=r"no scene 'moon'; the scenes are falling_cat"):
         call_timing.bench_compare(["moon"])
+    with pytest.raises(InputError, match="did you mean 'talos, 2 s'"):
+        call_timing.bench_compare(["talo, 2 s"])
 
 
 def test_first_calls_are_medians_of_three_processes(monkeypatch: pytest.MonkeyPatch) -> None:
