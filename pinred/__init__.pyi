@@ -90,8 +90,8 @@ from .integrators.methods import Radau as Radau
 from .integrators.methods import Tsit5 as Tsit5
 from .integrators.methods import Variational as Variational
 from .judge.compare import compare as compare
-from .judge.compare_chain import ChainReport as ChainReport
-from .judge.compare_chain import ImpactReport as ImpactReport
+from .judge.impact_checks import ChainReport as ChainReport
+from .judge.impact_checks import ImpactReport as ImpactReport
 from .judge.verdict import Report as Report
 from .kernels.reduced_graph import casadi_functions as casadi_functions
 from .planning.gait_file import GaitFile as GaitFile

@@ -15,7 +15,7 @@ import pytest
 
 import pinred
 from pinred.forces import Torque
-from pinred.laboratory.bench.solvers import SOLVERS
+from pinred.laboratory.bench.accuracy import SOLVERS
 from pinred.lie import GROUPS
 
 ROOT = Path(__file__).parents[1]

@@ -8,16 +8,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-from ..common.errors import InputError, OutputError
+from ..common.errors import InputError
+from ..common.errors import OutputError
 from ..common.files import write_table
 from ..common.waiting import Wait
 from .command_files import out_path
-from .command_options import add_options, option_adder
+from .command_options import add_options
+from .command_options import option_adder
 
 if TYPE_CHECKING:
     from ..laboratory.bench.work_precision import WorkPrecision
-    from ..laboratory.corpus.corpus_entry import Entry
+    from ..laboratory.corpus.trial import Entry
     from ..laboratory.stress.check import Check
 
 
@@ -131,9 +132,16 @@ def _add_accuracy_options(sub: argparse.ArgumentParser) -> None:
 
 def _run_accuracy(arguments: argparse.Namespace, folder: Path | None) -> int:
     """Measure the results that the folder lacks; print and write all of them.  Returns 0."""
-    from ..laboratory.bench.accuracy import DEFAULT, FULL, QUICK, continue_accuracy
+    from ..laboratory.bench.accuracy import (
+        ALL_SOLVERS,
+        DEFAULT,
+        FULL,
+        QUICK,
+        SOLVERS,
+        continue_accuracy,
+        solvers_named,
+    )
     from ..laboratory.bench.problems import SCENES, problems_named
-    from ..laboratory.bench.solvers import ALL_SOLVERS, SOLVERS, solvers_named
     from ..laboratory.bench.work_precision import NAME
 
     if arguments.list:

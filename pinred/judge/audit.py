@@ -24,24 +24,26 @@ The acceleration therefore follows from the equations alone, independent of the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-
 import numpy as np
 import pinocchio as pin
-
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import replace
 from ..common.arrays import Array
 from ..common.errors import InputError
 from ..reduction.cyclic_joints import SymmetricBall
 from ..reduction.pointwise_reduction import symmetric
-from ..simulation.balances import energy_balance, momentum_balance
+from ..simulation.balances import energy_balance
+from ..simulation.balances import momentum_balance
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import State
-from ..system.system import System, moved_masses
+from ..system.system import System
+from ..system.system import moved_masses
 from .full_system import gravity_load_sizes
-from .reference_solution import SPREAD_MARGIN, FullState
+from .reference_solution import SPREAD_MARGIN
+from .reference_solution import FullState
 from .step_defects import full_states
-
+from .full_system import mass_matrix
 
 def axial_momentum_drifts(
     system: System, balls: Sequence[SymmetricBall], states: State
@@ -69,8 +71,8 @@ def axial_momentum_drifts(
         for ball, rows in zip(balls, momenta, strict=True):
             i = system.sorted_joints[ball.joint.v.start]
             at = slice(model.idx_vs[i], model.idx_vs[i] + 3)
-            own = (model.inertias[i] * data.v[i]).angular + model.armature[at] * v[at]
-            rows.append(own if ball.axis is None else np.atleast_1d(ball.axis @ own))
+            axial = (model.inertias[i] * data.v[i]).angular + model.armature[at] * v[at]
+            rows.append(axial if ball.axis is None else np.atleast_1d(ball.axis @ axial))
     drifts: list[Array] = []
     for ball, rows in zip(balls, momenta, strict=True):
         i = system.sorted_joints[ball.joint.v.start]
@@ -351,9 +353,9 @@ def _accelerations(
 def _mass_matrices_and_loads(system: System, q: Array) -> tuple[Array, Array]:
     """Return Pinocchio's mass matrices (T, n, n) and magnitudes of gravity loads (T, n)."""
     model, data = system.sorted_model, system.sorted_data
-    upper = np.array([pin.crba(model, data, q_k) for q_k in q])
+    H = np.array([mass_matrix(model, data, q_k) for q_k in q])
     loads = system.sizes_on_shape(gravity_load_sizes(model, data, q))
-    return system.coupled_matrix(symmetric(upper)), loads
+    return system.coupled_matrix(H), loads
 
 
 def _inertial_forces(system: System, q0: Array, changes: Array, size: float) -> Array:
@@ -376,8 +378,8 @@ def _inertial_forces(system: System, q0: Array, changes: Array, size: float) -> 
         else np.append(angular[: system.r], angular[system.r :][system.coupled.leads])
     )
     fastest = size * changes[:, rotates].sum(axis=1) + changes[:, ~rotates].sum(axis=1)
-    moved = system.sizes_on_shape(mass * np.where(angular, size, 1.0))
-    return np.outer(fastest, moved)
+    carried_masses = system.sizes_on_shape(mass * np.where(angular, size, 1.0))
+    return np.outer(fastest, carried_masses)
 
 
 @dataclass(frozen=True)

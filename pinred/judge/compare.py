@@ -34,11 +34,25 @@ from ..simulation.contact.chain import Chain
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import State
 from .audit import audit_trajectory, audit_with_reference, equation_errors, measurement_error
-from .compare_chain import ChainReport, judge_impacts
-from .distances import Distance, FullMotion, Size
 from .full_system import loop_errors
+from .impact_checks import (
+    ChainReport,
+    StopChecks,
+    check_stops,
+    contact_errors,
+    judge_impacts,
+    judgeable_until,
+)
 from .reference_integrators import AbaStopped, TimeBudget, default_budget
-from .reference_solution import FINEST, PERTURBATION, FullState, StiffError
+from .reference_solution import (
+    FINEST,
+    PERTURBATION,
+    Distance,
+    FullMotion,
+    FullState,
+    Size,
+    StiffError,
+)
 from .step_defects import (
     DecayingErrors,
     Defects,
@@ -49,8 +63,7 @@ from .step_defects import (
     solve_stiff_steps,
     unresolved_forces,
 )
-from .stop_checks import StopChecks, check_stops, contact_errors, judgeable_until
-from .stop_reference import NEVER, Hit, StoppedFullState, first_difference, full_state_of
+from .stop_reference import NEVER, Hit, StoppedFullState, first_difference, stopped_full_state
 from .verdict import Report, Verdict
 
 TIGHTER = 100.0  # ratio of the scene's tolerance to the tolerance of the reference solution
@@ -282,6 +295,18 @@ def _compare(
         loop_rate=loops.rate,
         rate_error=max(decaying.rates, float(rates.max(initial=0.0))) if decaying.steps else 0.0,
     )
+
+
+def full_state_of(traj: Trajectory, budget: TimeBudget | None = None) -> FullState:
+    """Return the full simulation of a trajectory's scene, with its joint stops if it has any.
+
+    Args:
+        traj: The trajectory.
+        budget: Time limit of all runs together.
+    """
+    if traj.scene.bounds:
+        return stopped_full_state(traj, budget)
+    return FullState(traj.scene, traj.motion.replay, budget)
 
 
 @dataclass(frozen=True)

@@ -10,38 +10,37 @@ kinematics are called once with symbols, and CasADi compiles the resulting expre
 Times at which conditions on time change are found by sampling the forces' conditions, independent
 of the search for the stops of integrators. All conditions are sampled densely, with a bisection
 between samples that differ, so a pulse that is shorter than the sample spacing can be missed. Such
-a pulse is detected if the motion stops at one of its ends, because the middle of each span is
+a pulse is detected if the motion stops at both of its ends, because the middle of each span is
 sampled, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from functools import cached_property, partial
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin
-
+from collections.abc import Iterable
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from functools import partial
 from ..common.arrays import Array
 from ..forces.force_model import ForceModel
-from ..forces.force_numbers import BaseInSpace, FunctionBuffers
+from ..forces.force_numbers import BaseInSpace
+from ..forces.force_numbers import FunctionBuffers
 from ..kernels.pinocchio_terms import LoadsByPinocchio
 from ..scene.scene import Scene
 from ..simulation.plan import stops_of
 from ..simulation.reduced_flow import Sample
 from ..system.coordinates import Indices
 from ..system.system import System
-from .full_system import (
-    Configuration,
-    CouplingConstraints,
-    RootMotion,
-    SystemTotals,
-    closed,
-    normalise,
-    root_motion,
-)
+from .full_system import Configuration
+from .full_system import CouplingConstraints
+from .full_system import RootMotion
+from .full_system import SystemTotals
+from .full_system import closed
+from .full_system import normalise
+from .full_system import root_motion
 
 _SAMPLES = 1 << 14
 _RESOLUTION = 1e-14  # length at which bisection ends, as a fraction of the duration
@@ -70,20 +69,21 @@ def condition_times(forces: ForceModel, stops: Array, numbers: Array) -> Array:
     while a.size and (b - a).max() > _RESOLUTION * end:
         middle = 0.5 * (a + b)
         at = _values(forces, conditions, middle, numbers)
-        left, right = (at != at_a).any(axis=1), (at != at_b).any(axis=1)
-        a, b = np.append(a[left], middle[right]), np.append(middle[left], b[right])
+        lower, upper = (at != at_a).any(axis=1), (at != at_b).any(axis=1)
+        a, b = np.append(a[lower], middle[upper]), np.append(middle[lower], b[upper])
         at_a, at_b = (
-            np.concatenate(rows) for rows in ((at_a[left], at[right]), (at[left], at_b[right]))
+            np.concatenate(halves)
+            for halves in ((at_a[lower], at[upper]), (at[lower], at_b[upper]))
         )
     return np.unique(b)
 
 
 def _values(forces: ForceModel, conditions: ca.Function, times: Array, numbers: Array) -> Array:
     """Return the values of all conditions, (T, C), at times (T,)."""
-    mapped, rows = conditions.map(len(times)), np.repeat(numbers[None], len(times), axis=0)
-    forces.set_span(rows, times)
-    values = mapped(times[None], rows.T)
-    return np.asarray(values.T)
+    mapped, parameters = conditions.map(len(times)), np.repeat(numbers[None], len(times), axis=0)
+    forces.set_span(parameters, times)
+    conditions_at_times = mapped(times[None], parameters.T)
+    return np.asarray(conditions_at_times.T)
 
 
 @dataclass(frozen=True)
@@ -354,8 +354,8 @@ class FullDynamics:
         Returns:
             The full state (..., n).
         """
-        values, rates = self.couplings.values(x), self.couplings.rates(xdot)
-        return np.concatenate([pose, values, xi, rates], axis=-1)
+        coordinates, rates = self.couplings.values(x), self.couplings.rates(xdot)
+        return np.concatenate([pose, coordinates, xi, rates], axis=-1)
 
     def _apply_couplings(self, y: Array) -> Array:
         """Return y with follower joints set from their leaders, and with closed loops."""

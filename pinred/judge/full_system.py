@@ -21,24 +21,26 @@ Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
-from functools import partial
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin
-
+from collections.abc import Callable
+from collections.abc import Collection
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
 from ..common.arrays import Array
 from ..forces.force_numbers import FunctionBuffers
 from ..system.loops.kinematics import LoopKinematics
-from ..system.loops.loop_assembly import assemble, loop_length
-from ..system.singular_mass_matrix import SingularShapes, singular_shapes
+from ..system.loops.loop_assembly import assemble
+from ..system.loops.loop_assembly import loop_length
+from ..system.singular_mass_matrix import SingularShapes
+from ..system.singular_mass_matrix import singular_shapes
 from ..system.state_fields import State
-from ..system.system import System, moved_masses
+from ..system.system import System
+from ..system.system import moved_masses
 from .reference_integrators import dposv
-
 
 @dataclass(frozen=True)
 class RootMotion:
@@ -69,7 +71,9 @@ class RootMotion:
         slides_across = self.plane is not None or (self.turns == 3 and self.linear == 3)
         return self.turns > 0 and not slides_across
 
-    def rate(self, root: Array, v: Array) -> Sequence[Any] | Array:
+    def rate(
+        self, root: Array | Sequence[float], v: Array | Sequence[float]
+    ) -> Sequence[Any] | Array:
         """Compute the time derivative of the root coordinates (size,) at a body twist v (r,).
 
         Args:
@@ -184,8 +188,8 @@ class Configuration:
         if not self._has_circles:
             return np.concatenate((root_q, joints), axis=-1)
         angles = joints[..., self._circles]
-        parts = root_q, joints, np.cos(angles), np.sin(angles)
-        return np.asarray(np.concatenate(parts, axis=-1)[..., self._order])
+        entries = root_q, joints, np.cos(angles), np.sin(angles)
+        return np.asarray(np.concatenate(entries, axis=-1)[..., self._order])
 
     def normalised(self, joints: Array) -> Array:
         """Return the coordinates of all joints, (..., size), with quaternions of length one."""
@@ -353,7 +357,13 @@ def _at_states(function: Callable[..., Any], *arrays: Array) -> Array:
     """Return a function's results at one state, or at T states with a leading axis."""
     if arrays[0].ndim == 1:
         return np.asarray(function(*arrays))
-    return np.array([function(*rows) for rows in zip(*arrays, strict=True)])
+    return np.array([function(*state) for state in zip(*arrays, strict=True)])
+
+
+def mass_matrix(model: pin.Model, data: pin.Data, q: Array) -> Array:
+    """Compute Pinocchio's mass matrix (nv, nv); CRBA fills the upper triangle only."""
+    upper = np.triu(pin.crba(model, data, q))
+    return np.asarray(upper + np.triu(upper, 1).T)
 
 
 def gravity_load_sizes(model: pin.Model, data: pin.Data, q: Array) -> Array:
@@ -516,7 +526,6 @@ class CouplingConstraints:
         self._model, self._data = model, model.createData()
         self._weightless = model.copy()
         self._weightless.gravity.setZero()
-        self._rows, self._columns = np.tril_indices(model.nv, -1)
         self._borders: dict[tuple[int, ...], Array] = {}
         self._uses_aba = not self._couplings or singular_shapes(model) == SingularShapes()
         self._loops = LoopKinematics(model, system.loops) if system.loops else None
@@ -528,13 +537,13 @@ class CouplingConstraints:
 
     def values(self, x: Array) -> Array:
         """Return the coordinates of all joints at shape x (..., nx)."""
-        values, at = np.zeros((*x.shape[:-1], self._count_x), dtype=x.dtype), self._at_x
-        values[..., self.leads_x] = x
+        coordinates, at = np.zeros((*x.shape[:-1], self._count_x), dtype=x.dtype), self._at_x
+        coordinates[..., self.leads_x] = x
         for follower, ratios, offset in self._couplings:
-            values[..., at[follower]] = offset
+            coordinates[..., at[follower]] = offset
             for leader, ratio in ratios.items():
-                values[..., at[follower]] += ratio * values[..., at[leader]]
-        return values
+                coordinates[..., at[follower]] += ratio * coordinates[..., at[leader]]
+        return coordinates
 
     def rates(self, xdot: Array) -> Array:
         """Return the rates of all joints at shape rate ẋ (..., m)."""
@@ -618,17 +627,18 @@ class CouplingConstraints:
         prescribed: Array | Sequence[float],
     ) -> Array:
         """Return the acceleration (nv,) of `acceleration` without couplings and loops."""
-        rows = self._free_rows.get(driven)
-        if rows is None:
-            rows = self._free_rows[driven] = _FreeRows(
+        equations = self._free_rows.get(driven)
+        if equations is None:
+            equations = self._free_rows[driven] = _FreeRows(
                 len(v), [len(v) - self._count + int(k) for k in driven]
             )
-        H, force, known = rows.inputs
+        H, force, known = equations.inputs
         H[:] = pin.crba(self._model, self._data, q).ravel()
         np.subtract(tau, pin.nonLinearEffects(self._model, self._data, q, v), out=force)
         known[:] = prescribed
-        rows.run()
-        _, a, failure = dposv(rows.matrix, rows.right, 1, 1)  # lower triangle, overwritten
+        equations.run()
+        # Only the lower triangle is read; matrix and right side are overwritten.
+        _, a, failure = dposv(equations.matrix, equations.right, 1, 1)
         if failure:  # Cholesky's method needs a matrix that is positive despite round-off
             return self._solve_with_multipliers(q, v, tau, driven, prescribed)
         return np.asarray(a)
@@ -647,11 +657,9 @@ class CouplingConstraints:
         """
         if self._loops is not None:
             return self._solve_in_null_space(q, v, tau, driven, prescribed)
-        n, rows, columns = len(v), self._rows, self._columns
+        n = len(v)
         matrix = self._border(driven).copy()
-        upper = pin.crba(self._model, self._data, q)
-        matrix[:n, :n] = upper
-        matrix[rows, columns] = upper[columns, rows]
+        matrix[:n, :n] = mass_matrix(self._model, self._data, q)
         right = np.zeros(len(matrix))
         right[:n] = tau - pin.nonLinearEffects(self._model, self._data, q, v)
         right[n + len(self.J) :] = prescribed
@@ -683,8 +691,7 @@ class CouplingConstraints:
         rank = int((sizes > RANK * sizes[0]).sum())
         a = Vt[:rank].T @ ((U.T @ c)[:rank] / sizes[:rank])
         N = Vt[rank:].T
-        upper = pin.crba(self._model, self._data, q)
-        M = np.triu(upper) + np.triu(upper, 1).T
+        M = mass_matrix(self._model, self._data, q)
         force = tau - pin.nonLinearEffects(self._model, self._data, q, v) - M @ a
         return np.asarray(a + N @ np.linalg.solve(N.T @ M @ N, N.T @ force))
 

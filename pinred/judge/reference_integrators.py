@@ -30,20 +30,20 @@ from __future__ import annotations
 
 import sys
 import warnings
+import numpy as np
+import scipy
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from runpy import run_path
-from time import perf_counter, thread_time
+from time import perf_counter
+from time import thread_time
 from types import ModuleType
 from typing import Any
-
-import numpy as np
-import scipy
 from numpy.polynomial import legendre
-
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
 from ..common.waiting import held_interrupt
@@ -100,9 +100,9 @@ class TimeBudget:
         now = self._wall()
         if now <= self._due:
             return False
-        left = self.seconds - (self._clock() - self._start)
-        self._due = now + left
-        return left < 0.0
+        remaining = self.seconds - (self._clock() - self._start)
+        self._due = now + remaining
+        return remaining < 0.0
 
     def limit(self, rate: Rate) -> Rate:
         """Return a vector field that raises AbaStopped when the time is up."""
@@ -499,10 +499,10 @@ class StiffIntegrator:
         self.step_ends, self.errors, self.lasting = [], [], []
         states, k, self._stages = np.empty((len(times), len(self._y))), 0, None
         while self.t < t:
-            rest = t - self.t
-            h = rest if self._h > 0.999 * rest else min(self._h, 0.5 * rest)
-            reached = t if h == rest else self.t + h
-            too_short = h < rest and h < _SHORTEST * max(self._duration, self.t)
+            remaining = t - self.t
+            h = remaining if self._h > 0.999 * remaining else min(self._h, 0.5 * remaining)
+            reached = t if h == remaining else self.t + h
+            too_short = h < remaining and h < _SHORTEST * max(self._duration, self.t)
             if too_short or self._evaluations > self.most_evaluations:
                 return None, states
             step = self._step(h)

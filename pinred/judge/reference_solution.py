@@ -1,6 +1,7 @@
 """The reference solution: Pinocchio's ABA on the full state (q, v), integrated by Hairer's codes.
 
-The vector field (full_dynamics.py) and the integrators share nothing with the reduction.
+The vector field (full_dynamics.py) and the integrators share nothing with the reduction. Distances
+between motions have the units of the motion's size.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ from ..common.errors import IntegrationError
 from ..forces.switch_times import time_within
 from ..scene.scene import Scene
 from ..simulation.control import Control, Replay
-from .distances import Distance, FullMotion, Size
 from .full_dynamics import FullDynamics
 from .reference_integrators import (
     AbaStopped,
@@ -27,6 +27,70 @@ from .reference_integrators import (
     TimeBudget,
     jacobian,
 )
+
+
+@dataclass(frozen=True)
+class FullMotion:
+    """A motion in Pinocchio's coordinates.
+
+    Attributes:
+        x: Coordinates of all joints over time: unwrapped values, and quaternions of balls.
+        q: Pinocchio's configurations, (T, nq).
+    """
+
+    x: Array
+    q: Array
+
+
+@dataclass(frozen=True)
+class Size:
+    """Units in which errors of a motion are measured.
+
+    Attributes:
+        joints: Largest |x| of each joint, (M,); at least 1 rad, or the radius of gyration for
+            slides; 1 rad for each axis of a ball [rad | m].
+        position: Distance travelled by the base; at least the radius of gyration, and at least a
+            small fraction of `away`, because round-off grows with `away` [m].
+        away: Largest distance of the base from the origin [m].
+    """
+
+    joints: Array
+    position: float
+    away: float
+
+
+@dataclass(frozen=True)
+class Distance:
+    """Distances between two motions over time.
+
+    Attributes:
+        joints: |Δx| of each joint; for a ball, the components of the rotation vector of its
+            attitude relative to the other, (T, M) [rad | m].
+        rotation: Norm of the rotational part of log(g⁻¹ĝ) of the base, (T,) [rad].
+        position: Norm of the translational part of log(g⁻¹ĝ), (T,) [m].
+    """
+
+    joints: Array
+    rotation: Array
+    position: Array
+
+    @property
+    def shape(self) -> Array:
+        """Largest |Δx| of any joint over time, (T,) [rad | m]."""
+        return np.asarray(self.joints.max(axis=1, initial=0.0))
+
+    def relative(self, size: Size) -> Array:
+        """Return the largest of all distances at each time, (T,), in units of `size`.
+
+        The result is NaN at times at which any distance is NaN.
+        """
+        shape = (self.joints / size.joints).max(axis=1, initial=0.0)
+        return np.asarray(np.max([shape, self.rotation, self.position / size.position], axis=0))
+
+    def worst(self, size: Size) -> float:
+        """Return the largest distance at any time in units of `size`; NaN if one of them is NaN."""
+        return float(self.relative(size).max())
+
 
 FINEST = (2e-14, 1e-16)  # tightest rtol and atol that Hairer's codes can satisfy
 OFFSET = 1e-5  # least length unit, as a fraction of the distance from the origin

@@ -325,8 +325,8 @@ def solve_stiff_steps(
     courses = full_states(traj, full, times).reshape(len(steps), len(NODES) + 1, -1)
     parameters = traj.motion.numbers(0.5 * (a + b))
     of_steps, of_motion, within, within_motion = (
-        values.copy()
-        for values in (
+        measures.copy()
+        for measures in (
             defects.steps, defects.motion_steps, defects.subintervals, defects.motion_subintervals,
         )
     )  # fmt: skip
@@ -527,11 +527,11 @@ def defect_units(traj: Trajectory, full: FullState) -> tuple[Array, Array]:
     edges = [0, linear, size, size + m, size + m + linear, size + m + r, y.shape[1]]
     for first, last in pairwise(edges):
         if last > first:
-            values = y[:, first:last]
+            numbers = y[:, first:last]
             if first == 0 and linear:
-                offset = OFFSET * np.abs(values).max()
-                values = np.append(np.abs(values - values[0]).ravel(), offset)
-            sizes[:, first:last] = np.maximum(np.abs(values).max(), least[:, first, None])
+                offset = OFFSET * np.abs(numbers).max()
+                numbers = np.append(np.abs(numbers - numbers[0]).ravel(), offset)
+            sizes[:, first:last] = np.maximum(np.abs(numbers).max(), least[:, first, None])
     joints, spin = slice(size + m + r, None), slice(size + m + linear, size + m + r)
     sizes[1, joints] = np.maximum(np.abs(y[:, joints]).max(axis=0), least[1, joints])
     initial = np.abs(y[0, spin]).max(initial=0.0)

@@ -8,27 +8,33 @@ followers and prescribed joints as constraints. Reactions of joints at rest are 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
-from itertools import chain, combinations
-from typing import cast
-
 import numpy as np
 import pinocchio as pin
-
+from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import replace
+from functools import partial
+from itertools import chain
+from itertools import combinations
+from typing import cast
 from ..common.arrays import Array
 from ..forces.switch_times import time_within
 from ..reduction.pointwise_reduction import symmetric
 from ..scene.scene import Scene
-from ..scene.stop import BallBound, BallStop, Stop
+from ..scene.stop import BallBound
+from ..scene.stop import BallStop
+from ..scene.stop import Stop
 from ..simulation.control import Replay
 from ..simulation.trajectory import Trajectory
 from ..system.loops.kinematics import LoopKinematics
-from .distances import FullMotion
 from .full_system import RANK
-from .reference_integrators import AbaStopped, TimeBudget
-from .reference_solution import PERTURBATION, FullState
+from .reference_integrators import AbaStopped
+from .reference_integrators import TimeBudget
+from .reference_solution import PERTURBATION
+from .reference_solution import FullState
+from .full_system import mass_matrix
+from .reference_solution import FullMotion
 
 _LEAST_RTOL = 2.3e-14  # tightest relative tolerance of SciPy's DOP853
 _SAMPLES = 16  # number of times in a step at which gaps and reactions are evaluated
@@ -118,8 +124,8 @@ class StopRow:
         parent = R.T @ n
         rate = np.cross(parent, omega)
         if self.kind == "twist":
-            size, row = 1.0 + n @ parent, n + parent
-            return float((rate / size - row * (n @ rate) / size**2) @ omega)
+            size, direction = 1.0 + n @ parent, n + parent
+            return float((rate / size - direction * (n @ rate) / size**2) @ omega)
         tilt, change = np.cross(parent, n), np.cross(rate, n)
         length = np.linalg.norm(tilt)
         unit = tilt / length
@@ -209,11 +215,11 @@ class StoppedFullState(FullState):
 
     def _rate(self, t: float, y: Array, axes: pin.Convention) -> Array:
         rate = super()._rate(t, y, axes)
-        rest = self._rest_of(t) if self.at_rest is None else self.at_rest
-        if not rest:
+        resting = self._rest_of(t) if self.at_rest is None else self.at_rest
+        if not resting:
             return rate
         first = len(rate) - self._model.nv
-        push = self.normals(rest, y).T @ self._reactions(y, rate[first:], rest)
+        push = self.normals(resting, y).T @ self._reactions(y, rate[first:], resting)
         rate[first:] += self.response(self.q(y)) @ push
         return rate
 
@@ -221,10 +227,10 @@ class StoppedFullState(FullState):
         """Return the reactions that keep joints at rest, (K,), with accelerations without them."""
         normals, response = self.normals(rest, y), self.response(self.q(y))
         needed = normals @ free
-        for k, row in enumerate(self.rows[row] for row in rest):
-            if row.kind != "position":  # the direction of the gap turns with the ball
-                first = len(y) - self._model.nv + row.v
-                needed[k] += row.sign * row.turning(y, y[first : first + 3])
+        for k, side in enumerate(self.rows[side] for side in rest):
+            if side.kind != "position":  # the direction of the gap turns with the ball
+                first = len(y) - self._model.nv + side.v
+                needed[k] += side.sign * side.turning(y, y[first : first + 3])
         return np.asarray(np.linalg.solve(normals @ response @ normals.T, -needed))
 
     @property
@@ -259,14 +265,14 @@ class StoppedFullState(FullState):
     def normals(self, rows: Rows, y: Array) -> Array:
         """Return the directions away from stops, as rows of the velocities, (K, nv)."""
         normals = np.zeros((len(rows), self._model.nv))
-        for k, row in enumerate(self.rows[row] for row in rows):
-            rates = row.rates(y)
-            normals[k, row.v : row.v + len(rates)] = row.sign * rates
+        for k, side in enumerate(self.rows[side] for side in rows):
+            rates = side.rates(y)
+            normals[k, side.v : side.v + len(rates)] = side.sign * rates
         return normals
 
     def mass_matrix(self, q: Array) -> Array:
         """Return Pinocchio's mass matrix at a configuration, (nv, nv)."""
-        return symmetric(pin.crba(self._model, self.system.sorted_data, q))
+        return mass_matrix(self._model, self.system.sorted_data, q)
 
     def kinetic_energy(self, y: Array) -> float:
         """Return the kinetic energy at a full state [J]."""
@@ -277,8 +283,8 @@ class StoppedFullState(FullState):
         """Return the matrix from generalised impulses to changes of the velocity, (nv, nv)."""
         H, C = self.mass_matrix(q), self._constraints
         if self._loops is not None:  # the equations of loops may be redundant
-            _, sizes, rows = np.linalg.svd(np.vstack([C, self._loops.jacobian(q)]))
-            free = rows[int((sizes > RANK * sizes[0]).sum()) :]
+            _, sizes, directions = np.linalg.svd(np.vstack([C, self._loops.jacobian(q)]))
+            free = directions[int((sizes > RANK * sizes[0]).sum()) :]
             return np.asarray(free.T @ np.linalg.solve(free @ H @ free.T, free))
         inverse = np.linalg.inv(H)
         if not len(C):
@@ -296,7 +302,7 @@ class StoppedFullState(FullState):
 
     def gaps(self, y: Array) -> Array:
         """Return the gaps of all stops at full states, (…, R)."""
-        gaps = [row.sign * (row.values(y) - row.position) for row in self.rows]
+        gaps = [side.sign * (side.values(y) - side.position) for side in self.rows]
         return np.stack(gaps, axis=-1)
 
     def solve_with_stops(self, y0: Array, times: Array, rtol: float, atol: float) -> HybridSolution:
@@ -332,9 +338,9 @@ class StoppedFullState(FullState):
             Factors, (T,) non-decreasing, and the time of the first impact that differs [s].
         """
         perturbed = self.perturb(y0, self._scene.end, PERTURBATION)
-        for row, gap, before in zip(self.rows, self.gaps(perturbed), self.gaps(y0), strict=True):
+        for side, gap, before in zip(self.rows, self.gaps(perturbed), self.gaps(y0), strict=True):
             if gap < 0.0 or before <= PERTURBATION:
-                perturbed[row.coordinates] = y0[row.coordinates]
+                perturbed[side.coordinates] = y0[side.coordinates]
         perturbed = self._apply_couplings(perturbed)
         lifted = self.lifted
         other = self.solve_with_stops(perturbed, times, rtol, atol)
@@ -348,18 +354,16 @@ class StoppedFullState(FullState):
     @property
     def slowest(self) -> float:
         """Speed below which impacts of an accumulation are not compared [rad/s | m/s]."""
-        return max(self.lifted, *(10.0 * row.stop.rest_rate for row in self.rows))
+        return max(self.lifted, *(10.0 * side.stop.rest_rate for side in self.rows))
 
 
-def full_state_of(traj: Trajectory, budget: TimeBudget | None = None) -> FullState:
-    """Return the full simulation of a trajectory's scene, with its joint stops if it has any.
+def stopped_full_state(traj: Trajectory, budget: TimeBudget | None = None) -> StoppedFullState:
+    """Return the full simulation of a trajectory's scene with its joint stops.
 
     Args:
         traj: The trajectory.
         budget: Time limit of all runs together.
     """
-    if not traj.scene.bounds:
-        return FullState(traj.scene, traj.motion.replay, budget)
 
     def resting(t: float) -> Rows:
         rest, _ = next(iter(traj.motion.resting(np.array([t]))))
@@ -414,9 +418,9 @@ class _HybridRun:
         """Return gaps of moving joints, 1 for resting ones, and reactions of resting ones."""
         gaps = self.full.gaps(y)
         gaps[list(rest)] = 1.0
-        moving = {row.x for row in (self.full.rows[k] for k in rest) if row.kind == "position"}
-        for k, row in enumerate(self.full.rows):
-            if row.x in moving:
+        moving = {side.x for side in (self.full.rows[k] for k in rest) if side.kind == "position"}
+        for k, side in enumerate(self.full.rows):
+            if side.x in moving:
                 gaps[k] = 1.0
         if not rest:
             return gaps
@@ -445,35 +449,35 @@ class _HybridRun:
             message = solver.step()
             if solver.status == "failed":
                 raise AbaStopped(f"the full simulation cannot be integrated: {message}", solver.t)
-            dense, earlier, found = solver.dense_output(), float(solver.t_old), []
+            dense, earlier, roots = solver.dense_output(), float(solver.t_old), []
             samples = np.linspace(solver.t_old, solver.t, _SAMPLES + 1)[1:].tolist()
             for s in samples:
-                values = self._functions(s, dense(s), rest)
-                self._find_minima(s, values, rest)
-                crossed = np.flatnonzero((values < 0.0) & (was > 0.0))
+                functions = self._functions(s, dense(s), rest)
+                self._find_minima(s, functions, rest)
+                crossed = np.flatnonzero((functions < 0.0) & (was > 0.0))
                 for k in crossed.tolist():
-                    value = partial(self._function, k, dense, rest)
+                    function = partial(self._function, k, dense, rest)
                     # A gap that begins at zero may be positive for a short time only.
                     inside = earlier + (s - earlier) * _SHORTER
-                    low = next((r for r in (earlier, *inside) if value(r) > 0.0), s)
-                    root = brentq(value, low, s, xtol=1e-15, rtol=1e-14) if low < s else earlier
-                    found.append((float(root), k))
-                if found:
+                    low = next((r for r in (earlier, *inside) if function(r) > 0.0), s)
+                    root = brentq(function, low, s, xtol=1e-15, rtol=1e-14) if low < s else earlier
+                    roots.append((float(root), k))
+                if roots:
                     break
-                was, earlier = np.where(values < 0.0, was, np.where(values > 0.0, values, was)), s
-            stop = min(found)[0] if found else float(solver.t)
-            rows = slice(*np.searchsorted(self.times, [solver.t_old, stop], side="right"))
-            for k in range(rows.start, rows.stop):
+                was, earlier = np.where(functions > 0.0, functions, was), s
+            stop = min(roots)[0] if roots else float(solver.t)
+            passed = slice(*np.searchsorted(self.times, [solver.t_old, stop], side="right"))
+            for k in range(passed.start, passed.stop):
                 self.states[k] = dense(float(self.times[k]))
-            if found:
-                return stop, dense(stop), [k for s, k in found if s <= stop + 1e-13 * self.end]
+            if roots:
+                return stop, dense(stop), [k for s, k in roots if s <= stop + 1e-13 * self.end]
             if solver.status == "finished":
                 return float(solver.t), solver.y, []
 
     def _find_minima(self, t: float, values: Array, rest: Rows) -> None:
         """Store the minima of gaps, by parabolas through three samples of one mode."""
         count = len(self.full.rows)
-        self._recent = [each for each in self._recent if each[2] == rest][-2:]
+        self._recent = [sample for sample in self._recent if sample[2] == rest][-2:]
         self._recent.append((t, values[:count], rest))
         if len(self._recent) < 3:
             return
@@ -488,12 +492,12 @@ class _HybridRun:
     ) -> tuple[Array, Rows]:
         """Return the state after an impact or a release, and the joints that rest."""
         full, y = self.full, y.copy()
-        lifts = np.array([max(_LIFT * abs(row.position), 1e-18) for row in full.rows])
+        lifts = np.array([max(_LIFT * abs(side.position), 1e-18) for side in full.rows])
         touching = tuple({*touching, *np.flatnonzero(full.gaps(y) <= lifts).tolist()} - {*rest})
         first, S = len(y) - full.nv, tuple(sorted({*rest, *touching}))
         self._recent.clear()
         rates = full.rate(t, y)[first:]
-        v, rows = y[first:].copy(), [full.rows[k] for k in S]
+        v, sides = y[first:].copy(), [full.rows[k] for k in S]
         normals, response = full.normals(S, y), full.response(full.q(y))
         G, u = normals @ response @ normals.T, normals @ v
         u[[k in rest for k in S]] = 0.0
@@ -505,30 +509,30 @@ class _HybridRun:
         if last is not None and touching and 1e-13 * self.end < t - last.t <= within:
             # The simulation takes them as one impact, whose impulses may differ from those of two.
             self.grazes.append((last.t, 0.0))
-        e = np.array([row.stop.restitution for row in rows])
+        e = np.array([side.stop.restitution for side in sides])
         usual = complementary(G, (1.0 + e) * u)
         rebound = np.where(usual > 0.0, -e * u, u + G @ usual)
         scene, energy = full.scene, full.kinetic_energy(y)
         chosen = [
             k
-            for k, row in enumerate(rows)
-            if rebound[k] <= max(row.stop.rest_rate, _SLOW) and S[k] not in released
+            for k, side in enumerate(sides)
+            if rebound[k] <= max(side.stop.rest_rate, _SLOW) and S[k] not in released
         ]
-        slow = rebound <= [row.stop.rest_rate for row in rows]
+        slow = rebound <= [side.stop.rest_rate for side in sides]
         # Round-off of the position sustains rebounds of this height; a stop at zero has none.
-        least = np.array([2.0 * _LIFT * abs(row.position) for row in rows])
+        least = np.array([2.0 * _LIFT * abs(side.position) for side in sides])
         least *= np.where(e < 1.0, e**2 / np.maximum(1.0 - e**2, _LIFT), 0.0)
-        usual_least = [scene.atol + scene.rtol * max(1.0, abs(row.position)) for row in rows]
+        usual_least = [scene.atol + scene.rtol * max(1.0, abs(side.position)) for side in sides]
         height = np.where(slow, np.maximum(least, usual_least), least)
         while True:
             impulse, block = usual.copy(), G[np.ix_(chosen, chosen)]
             impulse[chosen] -= np.linalg.solve(block, rebound[chosen])
             y[first:] = v + response @ normals.T @ impulse
-            held = tuple(S[k] for k in chosen)
-            locked = full.reactions(t, y, held) if held else np.empty(0)
+            locked_sides = tuple(S[k] for k in chosen)
+            locked = full.reactions(t, y, locked_sides) if locked_sides else np.empty(0)
             stays = complementary(block, -block @ locked) > 0.0
             stays |= (locked >= -_CLINGING * energy).all()
-            back = locked / np.diag(np.linalg.inv(block)) if held else locked
+            back = locked / np.diag(np.linalg.inv(block)) if locked_sides else locked
             leaves = [
                 k
                 for k, stay, a in zip(chosen, stays, back, strict=True)
@@ -540,33 +544,33 @@ class _HybridRun:
                 break
             leaves = [k for k in leaves if not slow[k]] or leaves
             chosen = [k for k in chosen if k not in leaves]
-        for k, row in enumerate(rows):
+        for k, side in enumerate(sides):
             if impulse[k]:
-                strength = row.sign * float(impulse[k])
+                strength = side.sign * float(impulse[k])
                 pull = float(abs(normals[k] @ rates))
-                self.hits.append(Hit(t, row.joint, row.side, strength, float(-u[k]), pull))
-        for row in rows:
-            if row.kind == "position":
-                y[row.x] = row.position
-        return y, tuple(row for row, stay in zip(held, stays, strict=True) if stay)
+                self.hits.append(Hit(t, side.joint, side.side, strength, float(-u[k]), pull))
+        for side in sides:
+            if side.kind == "position":
+                y[side.x] = side.position
+        return y, tuple(side for side, stay in zip(locked_sides, stays, strict=True) if stay)
 
 
 def _rows_of(scene: Scene, size: int, r: int) -> list[StopRow]:
     """Return the stops of a scene, for full states with `size` root coordinates."""
     joints = {joint.name: joint for joint in scene.system.tree.joints}
-    rows = []
+    sides = []
     for bound in scene.bounds:
         joint = joints[bound.joint]
         at = size + joint.x.start, r + joint.v.start
         if isinstance(bound, BallBound):
-            own = bound.joint, bound.side, *at, bound.sign, bound.position, bound.stop, bound.kind
-            rows.append(StopRow(*own))
+            place = bound.sign, bound.position
+            sides.append(StopRow(bound.joint, bound.side, *at, *place, bound.stop, bound.kind))
             continue
         assert isinstance(bound.stop, Stop)
         sign = bound.sign * (1.0 if bound.ratio > 0.0 else -1.0)
         position = bound.stop.lower if sign > 0.0 else bound.stop.upper
-        rows.append(StopRow(joint.name, bound.side, *at, sign, position, bound.stop))
-    return rows
+        sides.append(StopRow(joint.name, bound.side, *at, sign, position, bound.stop))
+    return sides
 
 
 def complementary(G: Array, q: Array) -> Array:
@@ -639,5 +643,5 @@ def matched(
             j += 1
         else:
             return pairs, min(a.t, b.t)
-    rest = [hit for hit in (*first[i:], *second[j:]) if hit.speed > 3.0 * slowest]
-    return pairs, min((hit.t for hit in rest), default=np.inf)
+    unpaired = [hit for hit in (*first[i:], *second[j:]) if hit.speed > 3.0 * slowest]
+    return pairs, min((hit.t for hit in unpaired), default=np.inf)

@@ -183,16 +183,16 @@ class Report(FrozenArrays):
             f"reduced equations against Pinocchio's ABA on the full state\n"
             + (f"{self.left_out}\n" if self.left_out else "")
         )
-        rows = table_of(self.checks)
-        rows += [f"  {'growth of perturbations':<31} {self.growth[-1]:10.2e}"]
+        lines = table_of(self.checks)
+        lines += [f"  {'growth of perturbations':<31} {self.growth[-1]:10.2e}"]
         if self.rate_error:
-            rows += [f"  {'rate error [relative]':<31} {self.rate_error:10.2e}"]
-        rows.append(
+            lines += [f"  {'rate error [relative]':<31} {self.rate_error:10.2e}"]
+        lines.append(
             f"  {'wall time [s]':<31} {self.wall_reduced:10.5f} reduced ({self.engine}), "
             f"{self.wall_full:.3f} full (ABA called from Python)"
         )
-        rows += [f"  {reason}" for reason in self.reasons]
-        return head + "\n".join(rows) + f"\n  verdict: {self.verdict}"
+        lines += [f"  {reason}" for reason in self.reasons]
+        return head + "\n".join(lines) + f"\n  verdict: {self.verdict}"
 
     def _repr_html_(self) -> str:
         from ..common.html import card, line, table, verdict

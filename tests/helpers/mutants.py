@@ -33,25 +33,27 @@ import sys
 import tempfile
 import time
 import traceback
+import pytest
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from random import Random
 from typing import TextIO
-
-import pytest
-from mutant_session import MutantSession, is_woven
-from mutations import Mutant, mutants
+from mutant_session import MutantSession
+from mutant_session import is_woven
+from mutations import Mutant
+from mutations import mutants
 
 ROOT = Path(__file__).parents[2]
 # The tests that most likely kill a mutant.
 TESTS: dict[str, list[str]] = {
     "judge": [
-        "judge/test_audit.py", "judge/test_compare.py",
+        "judge/test_audit.py", "judge/test_compare.py", "judge/test_impact_checks.py",
         "judge/test_bounds_of_compare.py", "judge/test_error_bounds.py",
         "judge/test_full_system.py", "judge/test_step_defects.py",
-        "judge/test_distances.py", "judge/test_reference_integrators.py",
+        "judge/test_reference_solution.py", "judge/test_reference_integrators.py",
         "judge/test_gravity_loads.py", "judge/test_stiff_defects.py",
         "simulation/test_balances.py", "views/test_notebook_cards.py",
     ],

@@ -8,8 +8,7 @@ import numpy as np
 
 import pinred
 from pinred.integrators.methods import Method
-from pinred.judge.distances import FullMotion
-from pinred.judge.reference_solution import FullState
+from pinred.judge.reference_solution import FullMotion, FullState
 
 # Robots, and the durations [s] over which their motions are in the asymptotic range of the order.
 ROBOTS = {

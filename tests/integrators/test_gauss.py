@@ -25,8 +25,7 @@ from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_state
-from pinred.judge.distances import FullMotion
-from pinred.judge.reference_solution import FullState
+from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.kernels import derived_code
 from pinred.kernels.derived_code import tangent_of, wide_rate
 from pinred.kernels.kernel import Kernel

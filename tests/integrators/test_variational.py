@@ -25,8 +25,7 @@ from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.run_state import Canonical
-from pinred.judge.distances import FullMotion
-from pinred.judge.reference_solution import FullState
+from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of

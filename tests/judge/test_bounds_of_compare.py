@@ -19,8 +19,7 @@ from pinred.cli.motion_commands import print_comparison
 from pinred.forces import Torque
 from pinred.judge.audit import equation_errors
 from pinred.judge.compare import closest_defect
-from pinred.judge.distances import FullMotion
-from pinred.judge.reference_solution import FullState
+from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.judge.step_defects import compute_defects, unresolved_forces
 from pinred.judge.verdict import EXIT_CODES, Verdict, _closest
 

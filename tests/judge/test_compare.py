@@ -10,8 +10,7 @@ from tampering import offset, tampered
 from trees import random_model
 
 import pinred
-from pinred.judge.distances import FullMotion
-from pinred.judge.reference_solution import FullState
+from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.lie import GROUPS
 from pinred.system.robot_files import bundled_robots, has_example_robots
 

@@ -23,8 +23,7 @@ from pinred.judge.compare import (
     explain_rest,
     explain_uninformative_times,
 )
-from pinred.judge.distances import FullMotion, Size
-from pinred.judge.reference_solution import FullState, Solution
+from pinred.judge.reference_solution import FullMotion, FullState, Size, Solution
 from pinred.judge.step_defects import Defects, reference_errors
 from pinred.judge.verdict import Verdict
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from ball_trees import ball_tree
 from coupled_trees import CoupledCase, coupled_cases, make_case, multipliers
 from hypothesis import given, settings
 from loop_robots import five_bar, four_bar
@@ -54,6 +55,27 @@ def test_root_rate_equals_differences_of_integration(group: str) -> None:
     if root.turns == 3:
         assert rate[-4:] @ at[-4:] == pytest.approx(0.0, abs=1e-15)  # keeps the norm
     assert root.is_pivoted == (group in ("SO2", "SO3"))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rates_of_joint_coordinates_equal_differences_of_integration(seed: int) -> None:
+    """Quaternions of balls and values of other joints move as pin.integrate moves them."""
+    model, rng = ball_tree(seed, group="SO2").sorted_model, np.random.default_rng(seed)
+    configuration = Configuration(model, root_motion(model))
+    joints = configuration.normalised(rng.normal(size=configuration.size))
+    v, h = rng.normal(size=model.nv), 1e-3
+    rate = np.array(configuration.derivative(joints, v[1:]))
+    q, slope = configuration(np.zeros(1), joints), np.zeros(model.nq)
+    for k, weight in ((1, 2 / 3), (2, -1 / 12)):
+        after, before = (pin.integrate(model, q, s * k * h * v) for s in (1.0, -1.0))
+        slope += weight * (after - before) / h
+    step, turn = 1e-6, v[:1]
+    ends = [configuration(s * step * turn, joints + s * step * rate) for s in (1.0, -1.0)]
+    np.testing.assert_allclose((ends[0] - ends[1]) / (2.0 * step), slope, atol=1e-8)
+    for first, _ in configuration.balls:
+        quaternion = slice(first, first + 4)
+        assert rate[quaternion] @ joints[quaternion] == pytest.approx(0.0, abs=1e-15)
+    assert configuration.balls
 
 
 @pytest.mark.parametrize("group", ["SO3", "SE3"])

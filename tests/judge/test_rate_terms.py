@@ -12,6 +12,7 @@ import pytest
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces.kinds import Damper, Torque
+from pinred.judge.full_dynamics import condition_times
 from pinred.judge.reference_solution import FullState
 
 
@@ -87,3 +88,16 @@ def test_length_of_the_quaternion_has_no_effect_on_forces() -> None:
     longer = y.copy()
     longer[3:7] *= 2.5
     np.testing.assert_allclose(full.rate(0.0, longer)[10:], full.rate(0.0, y)[10:], rtol=1e-12)
+
+
+def test_pulse_shorter_than_samples_is_found_between_stops() -> None:
+    """The middle of each span is sampled, so a span that is one pulse is not missed."""
+    centre, half = 0.40001, 1e-5  # samples are 6e-5 s apart, and none is within the pulse
+    torque = Torque(lambda s: {"bend": ca.if_else((s.t - centre) ** 2 < half**2, 0.2, 0.0)})
+    system = pinred.load("falling_cat")
+    forces = pinred.Scene(system=system, forces=[torque], duration=1.0).force_model
+    assert forces is not None
+    ends = np.array([centre - half, centre + half])
+    assert not condition_times(forces, np.array([1.0]), forces.numbers).size
+    times = condition_times(forces, np.append(ends, 1.0), forces.numbers)
+    np.testing.assert_allclose(times, ends, rtol=0.0, atol=1e-12)

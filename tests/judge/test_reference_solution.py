@@ -18,7 +18,14 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.forces import SeenState, Torque, Wrench
 from pinred.judge.reference_integrators import Hairer
-from pinred.judge.reference_solution import FINEST, PERTURBATION, FullState
+from pinred.judge.reference_solution import (
+    FINEST,
+    PERTURBATION,
+    Distance,
+    FullMotion,
+    FullState,
+    Size,
+)
 from pinred.lie import GROUPS
 from pinred.system.joints import axes_of
 
@@ -282,3 +289,50 @@ def test_run_continues_behind_a_stop_close_to_its_end(method: str) -> None:
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     x = full.run(y0, np.array([0.0, 1.0]), 1e-10, 1e-12, method=method).x[-1, 0]
     assert x == pytest.approx(3.0, abs=3e-12)
+
+
+SIZE = Size(joints=np.array([2.0, 5.0]), position=4.0, away=1e3)
+
+
+@pytest.mark.parametrize(
+    ("joints", "rotation", "position"),
+    [
+        ((6.0, 5.0), 1.0, 4.0),
+        ((2.0, 15.0), 1.0, 4.0),
+        ((2.0, 5.0), 3.0, 4.0),
+        ((2.0, 5.0), 1.0, 12.0),
+    ],
+)
+def test_relative_distance_is_largest_of_all_kinds(
+    joints: tuple[float, float], rotation: float, position: float
+) -> None:
+    """Joints, rotation and position have separate units; NaN stays NaN."""
+    distance = Distance(
+        joints=np.array([[0.0, 0.0], joints]),
+        rotation=np.array([0.0, rotation]),
+        position=np.array([0.0, position]),
+    )
+    assert distance.relative(SIZE).tolist() == [0.0, 3.0]
+    assert distance.worst(SIZE) == 3.0
+    assert distance.shape.tolist() == [0.0, max(joints)]
+    assert np.isnan(
+        Distance(distance.joints, distance.rotation * np.nan, distance.position).worst(SIZE)
+    )
+
+
+def test_size_of_motion_is_largest_of_travel_radius_and_round_off() -> None:
+    """A small ball that rests at the origin has its radius of gyration as the unit of positions."""
+    ball = pinred.Model("ball").body("ball", mass=2.0, inertia=2.0 * 1e-6)  # r² = 3 I/m = 3e-6 m²
+    full = FullState(pinred.Scene(system=pinred.load(ball, group="SE3"), seed=0, duration=1.0))
+    q = np.zeros((2, 7))
+    q[:, 6] = 1.0
+
+    def size(start: float, end: float) -> Size:
+        q[:, 1] = start, end
+        return full.size(FullMotion(x=np.empty((2, 0)), q=q))
+
+    assert size(0.0, 0.0).position == pytest.approx(np.sqrt(3e-6), rel=1e-12)
+    assert size(0.0, 0.0).away == 0.0
+    assert size(0.01, 0.03).position == pytest.approx(0.02, rel=1e-12)
+    assert size(0.01, -0.03).away == 0.03
+    assert size(1e4, 1e4).position == pytest.approx(1e4 * 1e-5, rel=1e-12)

@@ -3,35 +3,31 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
-from pathlib import Path
-from types import SimpleNamespace
-
 import numpy as np
 import pinocchio as pin
 import pytest
-from commands import python
-
 import pinred
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from commands import python
 from pinred.cli.main import main
 from pinred.common.errors import InputError
-from pinred.laboratory.bench import (
-    Table,
-    bench_derivatives,
-    bench_forces,
-    bench_many,
-    bench_scaling,
-    bench_threads,
-    call_timing,
-    first_calls,
-    flow_timing,
-    method_choice,
-    timing,
-)
-from pinred.laboratory.bench.batch_timing import BATCH_SOLVERS
+from pinred.laboratory.bench import Table
+from pinred.laboratory.bench import bench_derivatives
+from pinred.laboratory.bench import bench_forces
+from pinred.laboratory.bench import bench_many
+from pinred.laboratory.bench import bench_scaling
+from pinred.laboratory.bench import bench_threads
+from pinred.laboratory.bench import call_timing
+from pinred.laboratory.bench import timing
 from pinred.laboratory.bench.kernel_timing import scaling_table
-from pinred.laboratory.bench.method_choice import METHODS, choice_of
 from pinred.laboratory.bench.problems import chain
+from pinred.laboratory.bench import kernel_timing
+from pinred.laboratory.bench import method_comparison
+from pinred.laboratory.bench.call_timing import BATCH_SOLVERS
+from pinred.laboratory.bench.method_comparison import CANDIDATES
+from pinred.laboratory.bench.method_comparison import choice_of
 
 pytestmark = pytest.mark.slow
 
@@ -52,29 +48,33 @@ def test_call_timing_counts_integrations(monkeypatch: pytest.MonkeyPatch) -> Non
     assert f"{result.seconds:.3g}" in str(table)
     with pytest.raises(InputError, match=r"no scene 'moon'; the scenes are falling_cat"):
         call_timing.bench_compare(["moon"])
+    with pytest.raises(InputError, match="did you mean 'talos, 2 s'"):
+        call_timing.bench_compare(["talo, 2 s"])
 
 
-def test_first_calls_run_in_fresh_processes(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A process prints the time of its call, and the result has the median of three processes."""
-    calls: list[object] = []
-    monkeypatch.setattr(first_calls, "CALLS", {"note": calls.append})
-    first_calls.print_time("note")
-    assert len(calls) == 1
-    assert float(capsys.readouterr().out) >= 0.0
-    times = {"note": [0.5, 4.0, 0.25]}
-    monkeypatch.setattr(first_calls, "_in_fresh_process", lambda call: times[call].pop())
-    row = str(first_calls.bench_first_calls()).splitlines()[-1]
-    assert times == {"note": []}
+def test_first_calls_are_medians_of_three_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The table has the median of the times; unknown calls are refused."""
+    monkeypatch.setattr(call_timing, "CALLS", {"note": "pass"})
+    times = {"pass": [0.5, 4.0, 0.25]}
+    monkeypatch.setattr(call_timing, "time_in_fresh_process", lambda call: times[call].pop())
+    row = str(call_timing.bench_first_calls()).splitlines()[-1]
+    assert times == {"pass": []}
     assert row.split() == ["note", "0.5"]
     with pytest.raises(InputError, match="no call 'moon'; the calls are note"):
-        first_calls.bench_first_calls(["moon"])
+        call_timing.bench_first_calls(["moon"])
 
 
 def test_first_call_is_timed_in_another_process() -> None:
-    """The process has a cache of its own; the call takes longer than later calls."""
-    assert 0.02 < first_calls._in_fresh_process("simulate") < 1e3
+    """The process has a cache of its own, and its time includes the whole call and no import."""
+    slow = "time.sleep(0.3); assert pinred.load('falling_cat') is not system"
+    assert 0.3 < call_timing.time_in_fresh_process(slow) < 1e3
+
+
+@pytest.mark.parametrize("name", call_timing.CALLS)
+def test_first_calls_are_valid_programs(name: str) -> None:
+    """The source text of each call runs with the names that the program defines."""
+    names = {"pinred": pinred, "numpy": np, "system": pinred.load("falling_cat")}
+    exec(call_timing.CALLS[name], names)
 
 
 def test_importing_bench_is_lazy() -> None:
@@ -115,8 +115,8 @@ def test_bench_forces_counts_integrated_states(
 
 def test_bench_derivatives_measures_every_ratio(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each ratio is a positive number, and appears in the table."""
-    monkeypatch.setattr(flow_timing, "_DERIVATIVE_ROUNDS", 2)
-    monkeypatch.setattr(flow_timing, "_BURST", 1e-5)
+    monkeypatch.setattr(kernel_timing, "_DERIVATIVE_ROUNDS", 2)
+    monkeypatch.setattr(kernel_timing, "_BURST", 1e-5)
     table = bench_derivatives(["coupled_planar"])
     (result,) = table
     ratios = [value for value in vars(result).values() if isinstance(value, float)]
@@ -292,11 +292,11 @@ def test_bench_methods_compares_the_choice_with_the_fastest_accurate_method(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The ratio refers to the fastest method whose error is at most that of the chosen one."""
-    wall = dict(zip(METHODS, (2.0, 4.0, 3.0, 1.0), strict=True))
-    error = dict(zip(METHODS, (1e-9, 1e-10, 1e-10, 1e-6), strict=True))
+    wall = dict(zip(CANDIDATES, (2.0, 4.0, 3.0, 1.0), strict=True))
+    error = dict(zip(CANDIDATES, (1e-9, 1e-10, 1e-10, 1e-6), strict=True))
     assert choice_of("made", "DOP853", wall, error).ratio == 1.0  # Radau is less accurate.
     assert choice_of("made", "Tsit5", wall, error).ratio == 4.0 / 3.0  # of AdaptiveGauss
-    monkeypatch.setattr(method_choice, "METHODS", ("DOP853", "AdaptiveGauss"))
+    monkeypatch.setattr(method_comparison, "CANDIDATES", ("DOP853", "AdaptiveGauss"))
     assert main(["bench", "methods", "planar1", "--held", "0", "--out", str(tmp_path)]) == 0
     assert "of 1 scenes within 1.3 times the fastest method" in capsys.readouterr().out
     assert (tmp_path / "methods.csv").read_text().startswith("scene,chosen,ratio,DOP853 cpu")

@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pinred.common.errors import InputError
-from pinred.judge.distances import FullMotion
-from pinred.laboratory.bench.evaluations import ERRORS, bench_evaluations
+from pinred.judge.reference_solution import FullMotion
+from pinred.laboratory.bench.method_comparison import ERRORS, bench_evaluations
 from pinred.laboratory.bench.problems import problems_named
 
 

@@ -19,13 +19,17 @@ import pinred
 from pinred import InputError, LoadError
 from pinred.laboratory.corpus import run_corpus as workers
 from pinred.laboratory.corpus import trial as trials
-from pinred.laboratory.corpus.corpus_entry import Description, Entry, find_descriptions
-from pinred.laboratory.corpus.run_corpus import Corpus, Worker, corpus
-from pinred.laboratory.corpus.second_reader import differences
-from pinred.laboratory.corpus.trial import TrialOptions, run_trial, why_not_due
+from pinred.laboratory.corpus.run_corpus import Corpus, Worker, corpus, find_descriptions
+from pinred.laboratory.corpus.trial import (
+    Description,
+    Entry,
+    differences,
+    run_trial,
+    why_not_due,
+)
 from pinred.system import independent_reader
 
-QUICK = TrialOptions(duration=0.05)
+QUICK = 0.05  # duration of motions [s]
 ARM = f'<body name="arm">{HINGE}{MASS}</body>'
 FIXED = mjcf(body(ARM))
 SWINGING = mjcf(f'<body name="arm">{HINGE}{MASS}</body>')

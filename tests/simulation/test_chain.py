@@ -15,7 +15,7 @@ from meeting_pairs import Full, make_pair
 
 import pinred
 from pinred import Chain, InputError, LoadError, Scene
-from pinred.judge.compare_chain import judge_impact
+from pinred.judge.impact_checks import judge_impact
 from pinred.judge.verdict import Verdict
 
 REST = (0.0, 0.0, 0.0)

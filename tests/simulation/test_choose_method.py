@@ -13,9 +13,8 @@ from trees import limbed_model
 import pinred
 from pinred import DOP853, AdaptiveGauss, Gauss, Radau
 from pinred.forces import PD, Controller, Damper, Limit, Spring, Torque
-from pinred.judge.distances import FullMotion
-from pinred.judge.reference_solution import FullState
-from pinred.laboratory.bench.method_choice import held_robot
+from pinred.judge.reference_solution import FullMotion, FullState
+from pinred.laboratory.bench.method_comparison import held_robot
 from pinred.signals import Hold
 from pinred.simulation.choose_method import LANES_GAIN, Choice, radau_gain, rates_near_rest
 from pinred.simulation.members.member_groups import members_plan

@@ -15,7 +15,7 @@ from pinred import InputError, Parameter
 from pinred.forces import Controller, Torque, Wrench
 from pinred.integrators import integrate
 from pinred.integrators.run_derivatives import run_along
-from pinred.laboratory.bench.flow_timing import beside_cvodes
+from pinred.laboratory.bench.kernel_timing import beside_cvodes
 from pinred.signals import Fourier, Hold, Spline
 from pinred.simulation.flow_map.flow import Flow
 

@@ -14,8 +14,7 @@ from test_urdf_words import bar, on
 
 import pinred
 from pinred import LoadError, ModelError
-from pinred.laboratory.corpus.corpus_entry import Description
-from pinred.laboratory.corpus.trial import TrialOptions, run_trial
+from pinred.laboratory.corpus.trial import Description, run_trial
 from pinred.system import independent_reader, read_urdf
 from pinred.system.independent_reader import differences, second_reading
 from pinred.system.rebuild import ModelBuilder
@@ -196,7 +195,7 @@ def test_strict_loading_accepts_files_that_are_read_right(tmp_path: Path) -> Non
 def test_corpus_reports_a_misread_file(tmp_path: Path) -> None:
     """The row names the reader and the joint."""
     path = write(tmp_path, FLOATING)
-    entry = run_trial(Description(str(path), "urdf"), TrialOptions(duration=0.01))
+    entry = run_trial(Description(str(path), "urdf"), 0.01)
     assert (entry.outcome, entry.reader) == ("FAILED", "Pinocchio")
     assert entry.about == "Pinocchio reads it differently"
     assert "joint 'a-b': it has another placement" in entry.reason

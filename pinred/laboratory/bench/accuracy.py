@@ -23,18 +23,145 @@ from typing import Any
 import numpy as np
 
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
+from ...common.arrays import Array, read_only
 from ...common.errors import IntegrationError, PinredError
 from ...common.files import write_atomic, write_table
 from ...common.waiting import Progress, ProgressBar, quiet, shown
-from ...judge.distances import FullMotion
-from ...judge.reference_solution import FINEST
-from .peers.heyoka import has_heyoka, reduced_graph, taylor_expressions
-from .problems import Problem, compute_drift, problems_named
-from .solver import PreparedRun, Solver
-from .solvers import SOLVERS, solvers_named
-from .timing import Table, alternating, repeated
+from ...integrators.methods import DOP853_LEAST, METHODS, RKMK4, AdaptiveGauss, Explicit, Gauss
+from ...integrators.methods import Method as Integrator
+from ...judge.reference_solution import FINEST, FullMotion
+from ...simulation.compiled.compiled_flow import CompiledFlow
+from ...simulation.compiled.integrator import integrator
+from ...simulation.plan import plan_of
+from ...simulation.simulate import simulate
+from ...system.state_fields import with_base
+from .peers.aba import ABA
+from .peers.cvodes import CVODES
+from .peers.drake import DRAKE
+from .peers.exudyn import EXUDYN
+from .peers.heyoka import HEYOKA, HEYOKA_SLOW, has_heyoka, reduced_graph, taylor_expressions
+from .peers.mujoco import MUJOCO
+from .problems import (
+    ATOL,
+    End,
+    PreparedRun,
+    Problem,
+    Solver,
+    compute_drift,
+    decades,
+    halvings,
+    problems_named,
+    select_named,
+)
+from .timing import Table, alternating, repeated, timed
 from .work_precision import ERRORS, NAME, Point, WorkPrecision, read_record, write_record
+
+FROM_TOLERANCE = decades(2, 14)
+
+
+@checks_arguments
+def own_method(
+    name: str,
+    about: str,
+    make: Callable[[float], Integrator] | None = None,
+    *,
+    tolerances: tuple[float, ...] = FROM_TOLERANCE,
+    fixed: bool = False,
+) -> Solver:
+    """Return a benchmark method that calls `simulate` with an integrator of pinred.
+
+    Args:
+        name: Name of the method.
+        about: Description of the timed work.
+        make: Creates the integrator from a tolerance, or from a step [s] if `fixed`. If None,
+            `simulate` chooses it.
+        tolerances: Tolerances from coarse to fine, see Solver.
+        fixed: Whether the integrator has fixed steps.
+    Returns:
+        The method.
+    """
+
+    def prepare(problem: Problem, tolerance: float) -> PreparedRun:
+        start, scaled = problem.start, tolerance * (problem.start.duration if fixed else 1.0)
+        options: dict[str, Any] = {"rtol": tolerance, "atol": ATOL * tolerance}
+        if make is not None:
+            options = {"method": make(scaled)}
+
+        def run() -> Any:
+            traj = simulate(
+                problem.system, x0=start.x, xdot0=start.xdot, xi0=start.xi, times=problem.times,
+                **options,
+            )  # fmt: skip
+            return traj.states, traj.run.evaluations
+
+        return PreparedRun(run, lambda result: problem.end_of(*result))
+
+    return Solver(name, about, tolerances, prepare, fixed=fixed)
+
+
+def _integration(problem: Problem, tolerance: float) -> PreparedRun:
+    plan = plan_of(problem.scene(rtol=tolerance, atol=ATOL * tolerance))
+    flow = CompiledFlow.of_plan(plan)
+
+    def end(solution: Any) -> End:
+        states = flow.states(problem.times, solution.at(problem.times))
+        return problem.end_of(with_base(states, problem.name), solution.evaluations)
+
+    integrate = integrator(flow, plan, None)
+    parameters = read_only(flow.parameters.copy())
+    return PreparedRun(lambda: integrate(0.0, plan.scene.end, flow.y0, parameters), end)
+
+
+def _explicit(name: str, kind: type[Explicit]) -> Solver:
+    return own_method(
+        f"pinred-{name.lower()}",
+        f"simulate() with {name}, whole call",
+        lambda tol: kind(max(tol, DOP853_LEAST), ATOL * tol),
+    )
+
+
+OWN = (
+    own_method("pinred", "simulate(), whole call from initial values"),
+    Solver(
+        "pinred-integration",
+        "its integration alone, as heyoka is timed",
+        FROM_TOLERANCE,
+        _integration,
+    ),
+    *(_explicit(name, kind) for name, kind in METHODS.items() if issubclass(kind, Explicit)),
+    own_method(
+        "pinred-gauss",
+        "simulate() with AdaptiveGauss, whole call",
+        lambda tol: AdaptiveGauss(tol, ATOL * tol),
+    ),
+    own_method(
+        "pinred-gauss6",
+        "simulate() with Gauss of order 6, equal steps, whole call",
+        lambda step: Gauss(step, 6),
+        tolerances=halvings(50, 8),
+        fixed=True,
+    ),
+    own_method(
+        "pinred-rkmk4",
+        "simulate() with RKMK4, equal steps, whole call",
+        RKMK4,
+        tolerances=halvings(50, 14),
+        fixed=True,
+    ),
+)
+
+
+SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA)
+# ALL_SOLVERS also includes methods whose preparation takes minutes.
+ALL_SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA_SLOW)
+
+
+def solvers_named(
+    names: Sequence[str] | None, among: Sequence[Solver] = SOLVERS
+) -> tuple[Solver, ...]:
+    """Return the named methods, or all if None; raise InputError for an unknown name."""
+    return tuple(select_named(names, {solver.name: solver for solver in among}, "method").values())
+
 
 YARDSTICK = "pinred"  # method that every run contains, so that time ratios stay within a run
 
@@ -183,9 +310,9 @@ def _first_runs(
             continue
         try:
             prepared = method.prepare(problem, tolerance)
-            result, wall = _run_timed(prepared)
+            result, wall = timed(prepared.run)
             if wall > effort.patience:  # may include time to compile or load code
-                result, wall = _run_timed(prepared)
+                result, wall = timed(prepared.run)
             point = _point(problem, reference, method.name, tolerance, prepared, result)
         except PinredError as error:
             yield Point(method.name, tolerance, failure=str(error)), None
@@ -196,12 +323,6 @@ def _first_runs(
                 f"not run: a coarser tolerance took {wall:.2g} s, more than the limit of "
                 f"{effort.patience:g} s"
             )
-
-
-def _run_timed(prepared: PreparedRun) -> tuple[object, float]:
-    began = time.perf_counter()
-    result = prepared.run()
-    return result, time.perf_counter() - began
 
 
 def _point(
@@ -227,7 +348,7 @@ def _point(
         IntegrationError: The final state is not finite.
     """
     end = prepared.end(result)
-    if not all(np.isfinite(values).all() for values in (end.x, end.q, end.v)):
+    if not all(np.isfinite(numbers).all() for numbers in (end.x, end.q, end.v)):
         raise IntegrationError("the final state is not finite")
     distance = problem.full.distance(reference.end, end.motion)
     drift = compute_drift(problem, end.q, end.v)
@@ -303,32 +424,23 @@ def continue_accuracy(
     return results
 
 
+_EQUAL_ERROR = ("run", "problem", "error", "method", "wall", "times_pinred", "reference_error")
+
+
 def _write_equal_error(folder: Path, results: Sequence[WorkPrecision]) -> None:
     """Write run times and their ratios at equal errors, interpolated between the points."""
-    columns = [
-        "run",
-        "problem",
-        "error",
-        "method",
-        "wall",
-        "times_pinred",
-        "reference_error",
-    ]
-    records: list[dict[str, object]] = [
-        {
-            "run": result.run,
-            "problem": result.problem,
-            "error": error,
-            "method": method,
-            "wall": result.wall_at(method, error),
-            "times_pinred": result.ratio_at(method, error) if YARDSTICK in result.about else "",
-            "reference_error": result.reference_error,
-        }
+    table_rows = (
+        (
+            *(result.run, result.problem, error, method, result.wall_at(method, error)),
+            result.ratio_at(method, error) if YARDSTICK in result.about else "",
+            result.reference_error,
+        )
         for result in results
         for error in ERRORS
         for method in result.about
-    ]
-    write_table(folder / "equal_error.csv", columns, records)
+    )
+    records = [dict(zip(_EQUAL_ERROR, columns, strict=True)) for columns in table_rows]
+    write_table(folder / "equal_error.csv", _EQUAL_ERROR, records)
 
 
 OVERVIEW_ERRORS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-13)
@@ -366,13 +478,13 @@ def _tables_of(results: Sequence[WorkPrecision], scenes: list[str]) -> str:
     kinds[title] = _following_cell
     texts = []
     for title, format_cell in kinds.items():
-        rows = []
+        table_rows = []
         for name in names:
             runs = {scene: _run_with_yardstick(results, scene, name) for scene in scenes}
             cells = {s: format_cell(run, name) if run else "—" for s, run in runs.items()}
             if set(cells.values()) != {"—"}:
-                rows.append(SimpleNamespace(method=name, **cells))
-        texts += [str(Table("overview", tuple(rows), title=title))] if rows else []
+                table_rows.append(SimpleNamespace(method=name, **cells))
+        texts += [str(Table("overview", tuple(table_rows), title=title))] if table_rows else []
     return "\n\n".join(texts)
 
 
@@ -389,8 +501,8 @@ def _run_with_yardstick(
 def _time_cell(error: float, result: WorkPrecision, name: str) -> str:
     """Format pinred's wall time [ms], or the ratio of another method's time to that time."""
     is_pinred = name == YARDSTICK
-    value = 1e3 * result.wall_at(name, error) if is_pinred else result.ratio_at(name, error)
-    return "—" if np.isnan(value) else f"{value:.3g}"
+    number = 1e3 * result.wall_at(name, error) if is_pinred else result.ratio_at(name, error)
+    return "—" if np.isnan(number) else f"{number:.3g}"
 
 
 def _following_cell(result: WorkPrecision, method: str) -> str:

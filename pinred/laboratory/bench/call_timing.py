@@ -1,25 +1,35 @@
-"""Times of whole calls: comparisons, Floquet multipliers, and frames of films."""
+"""Times of whole calls: comparisons, Floquet multipliers, films, first calls, and batches.
+
+Batches of members run at a requested error, also with other tools, on one thread; `simulate_many`
+on two threads. The processor time of batches is measured instead of their wall time: calls take
+milliseconds, and other processes on the machine would distort their wall time.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+import numpy as np
+import os
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
-
-import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
-
 from ...analysis.equilibria.find import relative_equilibria
 from ...analysis.equilibria.relative_equilibrium import RelativeEquilibrium
-from ...analysis.stability.along_motions import floquet, linearise
+from ...analysis.stability.along_motions import floquet
+from ...analysis.stability.along_motions import linearise
 from ...analysis.stability.linearised_flow import without_base
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ...common.waiting import Progress, one_by_one
+from ...common.waiting import Progress
+from ...common.waiting import one_by_one
 from ...forces.kinds import Damper
 from ...judge.compare import compare
 from ...kernels.derived_code import jacobian_of
@@ -30,9 +40,42 @@ from ...simulation.plan import plan_of
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.load import load
-from ...views.playback.film import SIZE, Frames
-from ...views.playback.view_options import FILM_FPS, View
-from .timing import Table, alternating, repeated, robots_to_measure
+from ...views.playback.film import SIZE
+from ...views.playback.film import Frames
+from ...views.playback.view_options import FILM_FPS
+from ...views.playback.view_options import View
+from .timing import Table
+from .timing import alternating
+from .timing import repeated
+from .timing import robots_to_measure
+from itertools import cycle
+from tempfile import TemporaryDirectory
+from ...common.errors import IntegrationError
+from ...common.errors import PinredError
+from ...common.waiting import quiet
+from ...common.waiting import shown
+from ...integrators.integrate_many import Solutions
+from ...integrators.integrate_many import integrate_many
+from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
+from ...integrators.methods import DOP853
+from ...judge.reference_solution import FINEST
+from ...judge.reference_solution import FullMotion
+from ...kernels.derived_code import wide_rate
+from ...scene.initial_state import random_state
+from ...simulation.members.integrate_members import lanes_of
+from ...simulation.members.trajectories import Trajectories
+from ...simulation.simulate_many import simulate_many
+from ...system.system import System
+from .peers.heyoka import HEYOKA_BATCH
+from .peers.mujoco import ROLLOUT
+from .problems import End
+from .problems import PreparedRun
+from .problems import Problem
+from .problems import Solver
+from .problems import compile_members
+from .problems import generate_members
+from .problems import problems_named
+from .problems import select_named
 
 _ROUNDS = 7
 
@@ -79,10 +122,9 @@ def bench_compare(scenes: Sequence[str] = (), *, progress: Progress | bool | Non
     Raises:
         InputError: A scene is unknown.
     """
-    names = robots_to_measure(scenes, [*BUNDLED], [*EXAMPLES])
-    if unknown := [name for name in names if name not in SCENES]:
-        raise InputError(f"no scene '{unknown[0]}'; the scenes are {', '.join(SCENES)}")
-    motions = one_by_one(names, lambda name: SCENES[name](), progress, "scenes")
+    selected = select_named(robots_to_measure(scenes, [*BUNDLED], [*EXAMPLES]), SCENES, "scene")
+    names = list(selected)
+    motions = one_by_one(names, lambda name: selected[name](), progress, "scenes")
     walls: list[list[float]] = [[] for _ in names]
     verdicts = [""] * len(names)
 
@@ -130,18 +172,17 @@ def bench_floquet(*, rounds: int = 5, progress: Progress | bool | None = None) -
         multipliers relative to the largest |μ|.
     """
     measure = partial(_measure_routes, rounds=rounds)
-    rows = one_by_one(list(PROBLEMS), measure, progress, "floquet")
-    return Table(
-        "floquet", tuple(row for some in rows for row in some), {"period": "s", "wall": "s"}
-    )
+    tables = one_by_one(list(PROBLEMS), measure, progress, "floquet")
+    rows = tuple(row for table in tables for row in table)
+    return Table("floquet", rows, {"period": "s", "wall": "s"})
 
 
 def _measure_routes(name: str, rounds: int) -> list[SimpleNamespace]:
     least = relative_equilibria(load(name), momentum=PROBLEMS[name], starts=50)[0]
     T = 2.0 * np.pi / float(least.frequencies[0])
     traj = simulate(least.scene(duration=T))
-    values = linearise(traj).eigenvalues
-    exact = _sort_by_angle(np.exp(values * T))
+    eigenvalues = linearise(traj).eigenvalues
+    exact = _sort_by_angle(np.exp(eigenvalues * T))
     routes: list[Callable[[], Array]] = [
         lambda: floquet(traj).monodromy,
         lambda: _differences(least, T),
@@ -218,13 +259,307 @@ def bench_films(robots: Sequence[str] = (), *, progress: Progress | bool | None 
 
 def _bench_film(name: str) -> SimpleNamespace:
     traj = simulate(load(name, gravity=(0.0, 0.0, 0.0)), seed=1, duration=_SPAN)
-    frames, seconds = Frames(traj, View(fps=FILM_FPS), SIZE), []
-    frames.draw(0.0)  # loads or compiles the code
-    for t in np.linspace(0.0, _SPAN, _TIMED).tolist():
-        began = time.process_time()
-        frames.draw(t)
-        seconds.append(time.process_time() - began)
+    frames, times = Frames(traj, View(fps=FILM_FPS), SIZE), cycle(np.linspace(0.0, _SPAN, _TIMED))
+    draw = repeated(lambda: frames.draw(float(next(times))))
+    seconds = alternating([draw], rounds=_TIMED, span=0.0, clock=time.process_time)
     frame = float(np.median(seconds))
     return SimpleNamespace(
         robot=name, triangles=frames.triangles, frame=frame, per_second=1.0 / frame
     )
+
+
+_PROCESSES = 3  # number of timed processes of each first call
+CALLS = {  # source text of each call
+    "simulate": "pinred.simulate(system, seed=1, duration=0.5)",
+    "simulate, Radau": "pinred.simulate(system, seed=1, duration=0.5, method='Radau')",
+    "simulate, Gauss": "pinred.simulate(system, seed=1, duration=0.5, method='Gauss(0.01)')",
+    "simulate_many": "pinred.simulate_many(system, seeds=range(8), times=[0.5])",
+    "flow.jacobian": "pinred.flow(system, wrt=['x0'], seed=1, duration=0.5).jacobian()",
+    "flow.vjp": "pinred.flow(system, wrt=['x0'], seed=1, duration=0.5)"
+    ".vjp({'pose': numpy.ones(system.group.dim)})",
+    "simulate, compare": "pinred.compare(pinred.simulate(system, seed=1, duration=0.5))",
+}
+# The harness is imported first: neither it nor the engine's modules that it needs are measured.
+_PROGRAM = """
+import time, numpy, pinred, pinred.laboratory.bench.timing
+system = pinred.load("falling_cat")
+began = time.perf_counter()
+{call}
+print(time.perf_counter() - began)
+"""
+
+
+@checks_arguments
+def bench_first_calls(
+    calls: Sequence[str] = (), *, progress: Progress | bool | None = None
+) -> Table:
+    """Measure first calls in fresh processes with empty caches, after the robot was loaded.
+
+    Args:
+        calls: Names of CALLS; by default all.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        A row for each call: the median time, with machine code generated from the package's
+        bitcode [s].
+    Raises:
+        InputError: A call is unknown.
+    """
+    programs = [*select_named(calls, CALLS, "call").items()]
+
+    def measure(named_call: tuple[str, str]) -> SimpleNamespace:
+        name, call = named_call
+        seconds = [time_in_fresh_process(call) for _ in range(_PROCESSES)]
+        return SimpleNamespace(call=name, seconds=float(np.median(seconds)))
+
+    rows = tuple(one_by_one(programs, measure, progress, "calls"))
+    return Table("first_calls", rows, {"seconds": "s"})
+
+
+def time_in_fresh_process(call: str) -> float:
+    """Return the time of a call, given as source text, in a process with an empty cache [s]."""
+    with TemporaryDirectory() as cache:
+        # Installed packages contain bytecode, so the processes write and read it.
+        settings = {"PINRED_CACHE_DIR": cache, "PYTHONDONTWRITEBYTECODE": ""}
+        done = subprocess.run(
+            [sys.executable, "-c", _PROGRAM.format(call=call)], stdout=subprocess.PIPE, text=True,
+            check=True, env={**os.environ, **settings},
+        )  # fmt: skip
+    return float(done.stdout)
+
+
+_TOLERANCES = tuple(10.0 ** (-k / 3) for k in range(18, 40))
+
+
+def _prepare(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> PreparedRun:
+    flows, method = compile_members(members), DOP853(rtol, 1e-2 * rtol)
+    kernel, times = flows.kernel, members[0].times
+    duration = members[0].start.duration
+    y0, params, quaternions = flows.y0, flows.parameters, kernel.layout.quaternions
+    run: Callable[[], Solutions]
+    if in_lanes:
+        lanes = lanes_of(method, kernel)
+        address = wide_rate(kernel, lanes, own_parameters=True).address
+        run = partial(
+            integrate_in_lanes, method, address, lanes, params, y0, duration, times, quaternions, 1
+        )
+    else:
+        address = kernel.rate.address
+        run = partial(integrate_many, method, address, params, y0, duration, times, quaternions, 1)
+
+    def end(solutions: Solutions, member: int) -> End:
+        if not solutions.ok.all():
+            raise IntegrationError(f"{method.name} did not integrate all members to their end")
+        return members[member].end(solutions.y[member, -1])
+
+    return PreparedRun(run, end)
+
+
+OWN = (
+    Solver(
+        "lanes",
+        "DOP853, members in SIMD lanes",
+        _TOLERANCES,
+        partial(_prepare, in_lanes=True),
+    ),
+    Solver(
+        "one by one",
+        "DOP853, the scalar integrator, one after another",
+        _TOLERANCES,
+        partial(_prepare, in_lanes=False),
+    ),
+)
+
+
+MEMBERS, ROUNDS, ERROR = 512, 5, 1e-8
+JUDGED = 2  # number of members whose final state is compared with Pinocchio's ABA
+BATCH_SOLVERS = (*OWN, *HEYOKA_BATCH, *ROLLOUT)
+_BUDGET = 10.0  # processor time [s] after which a solver skips the remaining rounds
+
+
+@checks_arguments
+def bench_many(
+    scenes: Sequence[str] | None = None,
+    *,
+    members: int = MEMBERS,
+    error: float = ERROR,
+    rounds: int = ROUNDS,
+    progress: Progress | bool | None = None,
+) -> list[Table]:
+    """Measure trajectories per second of pinred and other tools on each scene.
+
+    Args:
+        scenes: Names in SCENES; those of `bench accuracy` if None or empty.
+        members: Number of members; their initial states are near that of the scene.
+        error: Largest error of the final state against Pinocchio's ABA [rad | m]. Each solver
+            runs at the coarsest tolerance that reaches it.
+        rounds: Number of rounds, of which the median is reported.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        A table for each scene, with a row for each solver: its coarsest tolerance that reaches the
+        error, the largest error of the compared members [rad | m], its trajectories per second of
+        processor time, and their ratio to those of pinred's scalar integrator. Notes say why
+        solvers were left out.
+    Raises:
+        InputError: Unknown scene, or too few members.
+    """
+    if members < JUDGED:
+        raise InputError(f"members must be at least {JUDGED}, got {members}")
+    problems, _ = problems_named(scenes or None)
+    measure = partial(_measure, count=members, error=error, rounds=rounds)
+    return one_by_one(problems, measure, progress, "many")
+
+
+def _measure(problem: Problem, count: int, error: float, rounds: int) -> Table:
+    members = generate_members(problem, count)
+    truth = [m.full.run(m.full_start(), m.times, *FINEST) for m in members[:JUDGED]]
+    ready: list[tuple[Solver, float, float, PreparedRun]] = []
+    missing = []
+    for solver in BATCH_SOLVERS:
+        if why := solver.missing(problem):
+            missing.append(why)
+            continue
+        try:
+            ready.append((solver, *_find_tolerance(solver, members[: solver.most], truth, error)))
+        except PinredError as failure:
+            missing.append(f"{solver.name}: {failure}")
+    times = alternating(
+        [repeated(prepared.run) for *_, prepared in ready],
+        rounds=rounds,
+        span=0.0,
+        budget=_BUDGET,
+        clock=time.process_time,
+    )
+    speeds = {
+        solver.name: min(count, solver.most) / seconds
+        for (solver, *_), seconds in zip(ready, np.nanmedian(times, axis=0).tolist(), strict=True)
+    }
+    scalar = speeds.get(OWN[1].name, np.nan)
+    rows = [
+        SimpleNamespace(
+            solver=solver.name, tolerance=tolerance, error=reached,
+            per_second=speeds[solver.name], times=speeds[solver.name] / scalar,
+        )
+        for solver, tolerance, reached, _ in ready
+    ]  # fmt: skip
+    title = f"{problem.name}: {count} members of {problem.start.duration:g} s, one thread"
+    shared = {"problem": problem.name, "members": count}
+    return Table("many", tuple(rows), {"error": "rad | m"}, title, tuple(missing), shared)
+
+
+def _find_tolerance(
+    solver: Solver, members: Sequence[Problem], truth: Sequence[FullMotion], error: float
+) -> tuple[float, float, PreparedRun]:
+    """Find the coarsest tolerance of a solver that reaches an error.
+
+    Args:
+        solver: The solver.
+        members: Members of the batch.
+        truth: Reference solutions of the first members.
+        error: Requested error [rad | m].
+    Returns:
+        The tolerance, its error, and the prepared run.
+    Raises:
+        InputError: No tolerance reaches the error.
+    """
+    reached = np.inf
+    for tolerance in solver.tolerances:
+        prepared = solver.prepare(members, tolerance)
+        result = prepared.run()
+        reached = max(
+            members[k].apart(prepared.end(result, k).motion, reference)
+            for k, reference in enumerate(truth)
+        )
+        if reached <= error:
+            return tolerance, reached, prepared
+    raise InputError(f"its smallest error is {reached:.1e}")
+
+
+DURATION = 2.0  # default duration of each motion [s]
+THREAD_MEMBERS = 1000
+FEW = 0.25  # fraction of the members in the smaller of two memory measurements
+THREAD_ROUNDS = 5
+
+
+@checks_arguments
+def bench_threads(
+    system: System,
+    *,
+    members: int = THREAD_MEMBERS,
+    duration: float = DURATION,
+    rounds: int = THREAD_ROUNDS,
+    progress: Progress | bool | None = None,
+) -> list[Table]:
+    """Measure simulate_many from random states on one thread and on two.
+
+    Memory allocated by Python and numpy is measured; the compiled code allocates none.
+
+    Args:
+        system: The system.
+        members: Number of members, at least 4. Memory is measured with all members and
+            with a quarter.
+        duration: Duration of each motion [s].
+        rounds: Number of rounds, of which the median is reported.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        A table of the median wall times [s] by number of threads; and of memory by number of
+        members: bytes of the reduced states in the results, bytes that the trajectories keep,
+        reduced states included, and peak bytes in addition to those.
+    Raises:
+        InputError: Fewer than 4 members.
+    """
+    if members < 4:
+        raise InputError(f"members must be at least 4, got {members}")
+    with shown(progress, "threads") as bar:
+        return _measure_threads(system, members, duration, rounds, bar or quiet)
+
+
+def _measure_threads(
+    system: System, members: int, duration: float, rounds: int, report: Progress
+) -> list[Table]:
+    states = [random_state(system, seed) for seed in range(members)]
+    x0, xdot0, xi0 = (np.array([getattr(s, name) for s in states]) for name in ("x", "xdot", "xi"))
+
+    def call(size: int, threads: int) -> Trajectories:
+        return simulate_many(
+            system,
+            x0=x0[:size],
+            xdot0=xdot0[:size],
+            xi0=xi0[:size],
+            duration=duration,
+            times=[duration],
+            threads=threads,
+        )
+
+    times = alternating(
+        [repeated(partial(call, members, threads)) for threads in (1, 2)],
+        rounds=rounds,
+        progress=lambda fraction: report(0.8 * fraction),
+    )
+    memory = []
+    for k, size in enumerate((round(FEW * members), members)):
+        tracemalloc.start()
+        try:
+            trajectories = call(size, 2)
+            kept, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        memory.append(
+            SimpleNamespace(
+                members=size, results=trajectories.y.nbytes, kept=kept,
+                extra=peak - kept,
+            )
+        )  # fmt: skip
+        report(0.8 + 0.1 * (k + 1))
+    speedup = float(np.median(times[:, 0] / times[:, 1]))
+    walls = [
+        SimpleNamespace(threads=k + 1, wall=float(wall))
+        for k, wall in enumerate(np.median(times, axis=0))
+    ]
+    title = f"{system.name}: {members} trajectories of {duration:g} s, whole call"
+    notes = (f"two threads are {speedup:.2f} times faster",)
+    robot = {"robot": system.name}
+    in_bytes = dict.fromkeys(("results", "kept", "extra"), "bytes")
+    return [
+        Table("threads", tuple(walls), {"wall": "s"}, title, notes, {**robot, "members": members}),
+        Table("threads_memory", tuple(memory), in_bytes, shared=robot),
+    ]

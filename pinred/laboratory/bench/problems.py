@@ -1,14 +1,15 @@
-"""Problems of the accuracy benchmark: a system, its initial state and duration.
+"""Problems of the benchmarks, and the interface of the solvers that run them.
 
-SCENES contains one entry for each named problem.
+A problem is a system with its initial state and duration; SCENES contains one entry for each named
+problem. A solver prepares runs of a problem, or of a batch of members, at a tolerance.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -17,8 +18,8 @@ from numpy.typing import ArrayLike
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
-from ...judge.distances import FullMotion
-from ...judge.reference_solution import FullState
+from ...common.names import nearest
+from ...judge.reference_solution import FullMotion, FullState
 from ...scene.initial_state import random_state
 from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow, flows_of
@@ -29,6 +30,8 @@ from ...system.load import load
 from ...system.robot_files import INSTALL_ROBOTS, bundled_robots, has_example_robots
 from ...system.state_fields import State, with_base
 from ...system.system import System
+
+# FIXME renamed import of itself: End as End
 
 FAMILIES = ("planar", "spatial")
 _LENGTH, _WIDTH, _MASS = 0.2, 0.05, 1.0  # length [m], width [m] and mass [kg] of a link
@@ -286,24 +289,43 @@ def _factories() -> dict[str, Callable[[], Problem]]:
 SCENES = _factories()
 
 
+T = TypeVar("T")
+
+
+def select_named(names: Sequence[str] | None, table: Mapping[str, T], what: str) -> dict[str, T]:
+    """Select the entries of a table with the given names.
+
+    Args:
+        names: Names; all names of the table if there are none.
+        table: Entries by name.
+        what: Word for an entry, such as "scene".
+    Returns:
+        The entries by name, each once.
+    Raises:
+        InputError: Unknown name.
+    """
+    for name in names or ():
+        if name not in table:
+            hint = nearest(name, list(table))
+            raise InputError(f"no {what} '{name}'; {hint}the {what}s are {', '.join(table)}")
+    return {name: table[name] for name in names or table}
+
+
 @checks_arguments
 def problems_named(names: Sequence[str] | None = None) -> tuple[list[Problem], list[str]]:
     """Build the problems with the given names.
 
     Args:
-        names: Names in SCENES; BARS if None.
+        names: Names in SCENES; BARS if there are none.
     Returns:
         The problems, and one message for each problem that needs a missing package.
     Raises:
         InputError: Unknown name.
     """
-    requested = list(dict.fromkeys(BARS if names is None else names))
-    for name in requested:
-        if name not in SCENES:
-            raise InputError(f"no scene '{name}'; the scenes are {', '.join(SCENES)}")
-    unavailable = [n for n in requested if n in _EXAMPLES and not has_example_robots()]
+    factories = select_named(names or BARS, SCENES, "scene")
+    unavailable = [] if has_example_robots() else [name for name in factories if name in _EXAMPLES]
     missing = [f"{name} is left out: {INSTALL_ROBOTS}" for name in unavailable]
-    return [SCENES[name]() for name in requested if name not in unavailable], missing
+    return [make() for name, make in factories.items() if name not in unavailable], missing
 
 
 _SPREAD = 0.05  # standard deviation of the members' rates (relative) and shapes [rad | m]
@@ -367,3 +389,65 @@ def compute_drift(problem: Problem, q: Array, v: Array) -> Drift:
         energy=float(abs(gained) / scale if scale > 0.0 else abs(gained)),
         momentum=float(np.max(np.abs(after - before) / np.where(unit > 0.0, unit, 1.0))),
     )
+
+
+ATOL = 0.01  # ratio of absolute to relative tolerance, for methods with both
+UNKNOWN = float("nan")
+
+
+@checks_arguments
+@dataclass(frozen=True)
+class PreparedRun:
+    """A method that is ready to solve a problem at a tolerance.
+
+    Attributes:
+        run: Timed function: integrates from the initial to the final state. Raises
+            IntegrationError if it fails.
+        end: Converts the result of `run` to the final state (not timed). For a batch, the second
+            argument is the number of a member.
+        build: Time of preparation, once [s].
+    """
+
+    run: Callable[[], Any]
+    end: Callable[..., End]
+    build: float = 0.0
+
+
+@checks_arguments
+@dataclass(frozen=True)
+class Solver:
+    """A method of the accuracy benchmark, or of batches.
+
+    Attributes:
+        name: Name of the method.
+        about: Description of the timed work.
+        tolerances: Relative tolerances from coarse to fine; if `fixed`, step lengths relative to
+            the duration.
+        prepare: Prepares a run of a problem, or of the members of a batch, at a tolerance.
+        missing: Returns why the method cannot run a problem; "" if it can.
+        fixed: Whether the method has fixed steps.
+        most: Largest number of members that the method is timed with.
+    """
+
+    name: str
+    about: str
+    tolerances: tuple[float, ...]
+    prepare: Callable[[Any, float], PreparedRun]
+    missing: Callable[[Problem], str] = field(default_factory=lambda: lambda _: "")
+    fixed: bool = False
+    most: int = 10**9
+
+
+def decades(first: int, last: int, by: int = 1) -> tuple[float, ...]:
+    """Return the tolerances 10⁻ᵏ for k from first to last."""
+    return tuple(float(f"1e-{k}") for k in range(first, last + 1, by))
+
+
+def halvings(first: int, count: int) -> tuple[float, ...]:
+    """Return step lengths relative to the duration: 1/first, then repeatedly halved."""
+    return tuple(1.0 / (first * 2**k) for k in range(count))
+
+
+def steps_of(fraction: float) -> int:
+    """Return the number of steps whose length is this fraction of the duration."""
+    return round(1.0 / fraction)

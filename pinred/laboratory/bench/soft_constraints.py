@@ -88,7 +88,7 @@ def _compare(
     columns = zip(
         np.nanmedian(seconds, axis=0).tolist(), np.nanmedian(seconds / one, axis=0), strict=True
     )
-    before, rows = conserved[1](exact.q[0], exact.v[0]), []
+    before, table_rows = conserved[1](exact.q[0], exact.v[0]), []
     for trial, (cpu, times) in zip(trials, columns, strict=True):
         end = trial.run()
         change = np.abs(conserved[1](end.q, end.v) - before).max() / np.abs(before).max()
@@ -97,8 +97,10 @@ def _compare(
             "error": float(np.abs(end.x - exact.x[-1]).max()),
             conserved[0]: float(change),
         }
-        rows.append(SimpleNamespace(method=trial.method, **numbers, cpu=cpu, times=float(times)))
-    return tuple(rows)
+        table_rows.append(
+            SimpleNamespace(method=trial.method, **numbers, cpu=cpu, times=float(times))
+        )
+    return tuple(table_rows)
 
 
 def _by_pinred(scene: Scene) -> list[_Trial]:
@@ -171,9 +173,9 @@ class _SoftModel(MujocoModel):
 
         def looks() -> list[End]:
             begin()
-            every, states = max(1, count // _LOOKS), []
-            for _ in range(count // every):
-                mj.mj_step(model, data, every)
+            stride, states = max(1, count // _LOOKS), []
+            for _ in range(count // stride):
+                mj.mj_step(model, data, stride)
                 states.append(self.end(data.qpos.copy(), data.qvel.copy(), float(count)))
             return states
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from ...kernels.evaluate import repeat
 from ...kernels.kernel import Kernel
 from ...system.robot_files import has_example_robots
 
+T = TypeVar("T")
 Action: TypeAlias = Callable[[int], object]  # repeats its work a given number of times
 
 ROUNDS = 15  # default number of rounds; the median over rounds is reported
@@ -169,6 +170,13 @@ def evaluations(kernel: Kernel) -> Action:
     y = rng.normal(size=kernel.layout.size)
     parameters = rng.normal(size=kernel.layout.parameters)
     return lambda count: repeat(kernel.rate.address, parameters, y, count)
+
+
+def timed(action: Callable[[], T]) -> tuple[T, float]:
+    """Call an action once; return its result and its wall time [s]."""
+    began = time.perf_counter()
+    result = action()
+    return result, time.perf_counter() - began
 
 
 def repeated(action: Callable[[], object]) -> Action:

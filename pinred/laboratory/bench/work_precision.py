@@ -267,17 +267,17 @@ def write_record(path: Path, effort: str, results: Iterable[WorkPrecision]) -> N
     Raises:
         OutputError: The file cannot be written.
     """
-    rows: list[dict[str, object]] = []
+    records: list[dict[str, object]] = []
     for result in results:
         head = {name: getattr(result, name) for name in _ABOUT[1:]} | {"effort": effort}
         for point in result.points:
-            row = {name: getattr(point, name) for name in _POINT}
+            numbers = {name: getattr(point, name) for name in _POINT}
             about = result.about[point.method]
-            rows.append({**head, **row, "about": about, "error": point.error})
-        rows += [
+            records.append({**head, **numbers, "about": about, "error": point.error})
+        records += [
             {**head, "method": method, "failure": line} for method, line in result.missing.items()
         ]
-    write_table(path, COLUMNS, rows)
+    write_table(path, COLUMNS, records)
 
 
 @checks_arguments

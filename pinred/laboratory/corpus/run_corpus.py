@@ -7,23 +7,26 @@ A file that crashes a parser or exceeds the time limit affects only its own row 
 
 from __future__ import annotations
 
+import hashlib
 import multiprocessing
 import os
 import signal
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, fields
 from multiprocessing.connection import Connection
 from pathlib import Path
+from xml.parsers import expat
 
 import numpy as np
 
-from ...common.errors import InputError
+from ...common.errors import InputError, LoadError
+from ...common.files import write_table
 from ...system.robot_files import bundled_robots, example_robots
-from .corpus_entry import GOOD, Description, Entry, Outcome, find_descriptions, write_entries
-from .trial import TrialOptions, run_trial
+from .trial import GOOD, Description, Entry, Kind, Outcome, run_trial
 
 _WARM_UP = 60.0  # additional time [s] of a new process for its imports
 
@@ -31,9 +34,9 @@ _WARM_UP = 60.0  # additional time [s] of a new process for its imports
 class Worker:
     """A process for trials, started on first use; it ends with the `with` block."""
 
-    def __init__(self, options: TrialOptions, patience: float) -> None:
-        """Store the options of trials and the time limit of one description [s]."""
-        self._options, self._patience = options, patience
+    def __init__(self, duration: float, patience: float) -> None:
+        """Store the duration of motions and the time limit of one description [s]."""
+        self._duration, self._patience = duration, patience
         self._process: multiprocessing.process.BaseProcess | None = None
         self._pipe: Connection | None = None
         self._cache = tempfile.TemporaryDirectory(prefix="pinred-corpus-")
@@ -74,7 +77,7 @@ class Worker:
         context = multiprocessing.get_context("spawn")
         self._pipe, child_end = context.Pipe()
         self._process = context.Process(
-            target=_serve, args=(child_end, self._options, self._cache.name), daemon=True
+            target=_serve, args=(child_end, self._duration, self._cache.name), daemon=True
         )
         self._process.start()
         child_end.close()
@@ -90,7 +93,7 @@ class Worker:
         self._process = self._pipe = None
 
 
-def _serve(pipe: Connection, options: TrialOptions, cache: str) -> None:
+def _serve(pipe: Connection, duration: float, cache: str) -> None:
     """Try descriptions from a pipe until the pipe closes.  cache: folder for compiled kernels."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     os.environ["PINRED_CACHE_DIR"] = cache  # an empty cache, so that times include compilation
@@ -101,7 +104,7 @@ def _serve(pipe: Connection, options: TrialOptions, cache: str) -> None:
             description: Description = pipe.recv()
         except EOFError:
             return
-        pipe.send(run_trial(description, options))
+        pipe.send(run_trial(description, duration))
 
 
 _LONGEST = 1e6  # longest time limit that the operating system can wait for [s]
@@ -172,28 +175,28 @@ class Corpus:
         groups: dict[tuple[str, str], list[Entry]] = {}
         for entry in bad:
             groups.setdefault((entry.outcome, entry.about), []).append(entry)
-        rows = []
+        lines = []
         for (outcome, about), entries in sorted(groups.items(), key=lambda g: -len(g[1])):
             due = sum(entry.due for entry in entries)
-            rows.append(f"{len(entries):>5} {outcome:<8} {about} (should work: {due})")
+            lines.append(f"{len(entries):>5} {outcome:<8} {about} (should work: {due})")
             shown = next((entry for entry in entries if entry.due), entries[0])
-            rows.append(f"      {shown.file}: {shown.reason[:160]}")
-        return "\n".join(rows)
+            lines.append(f"      {shown.file}: {shown.reason[:160]}")
+        return "\n".join(lines)
 
     def slowest(self) -> str:
         """Format percentiles of the times for loading and for the first simulation."""
-        rows = []
+        lines = []
         for what in ("load", "simulate"):
             times = np.array([getattr(e, what) for e in self.entries])
             finite = times[np.isfinite(times)]
             if finite.size:
                 half, most = np.percentile(finite, [50, 99])
                 slow = self.entries[int(np.nanargmax(times))]
-                rows.append(
+                lines.append(
                     f"{what}: half in {half:.2f} s, 99 % in {most:.2f} s, all in "
                     f"{finite.max():.2f} s ({slow.file}, {slow.joints} joints)"
                 )
-        return "\n".join(rows)
+        return "\n".join(lines)
 
 
 def corpus(
@@ -236,7 +239,7 @@ def corpus(
         raise InputError("no URDF, MJCF or SDF files to try; name folders with some, or robots")
     entries: list[Entry] = []
     try:
-        with Worker(TrialOptions(duration), patience) as worker:
+        with Worker(duration, patience) as worker:
             for number, description in enumerate(descriptions, start=1):
                 entries.append(worker.run_trial(description))
                 if out is not None and number % _WRITE_INTERVAL == 0:
@@ -260,3 +263,137 @@ def _due(entries: list[Entry]) -> list[Entry]:
 def _success_rate(entries: list[Entry]) -> str:
     counts = Counter(entry.good for entry in entries)
     return f"{100.0 * counts[True] / len(entries):.1f} %" if entries else "-"
+
+
+COLUMNS = tuple(field.name for field in fields(Entry))
+
+
+def write_entries(path: Path, entries: Iterable[Entry]) -> None:
+    """Write entries as csv; raise OutputError and keep the old file on failure."""
+    write_table(path, COLUMNS, (vars(entry) for entry in entries))
+
+
+_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf", ".world", ".model")
+
+
+_MOST_BYTES = 256_000_000
+
+
+_KINDS: dict[str, Kind] = {"robot": "urdf", "mujoco": "mjcf", "sdf": "sdf"}
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """The descriptions in some folders.
+
+    Attributes:
+        descriptions: Complete robot descriptions.
+        fragments: Number of files with parts of robots only, for other files to include.
+        macros: Number of templates that xacro must expand.
+        copies: Number of files with the same content as another file.
+    """
+
+    descriptions: tuple[Description, ...]
+    fragments: int = 0
+    macros: int = 0
+    copies: int = 0
+
+
+@dataclass(frozen=True)
+class _Header:
+    """Properties of an XML file that determine its kind.
+
+    tag: root element.  xacro: whether the file needs xacro.  has_bodies: whether the file has links
+    or bodies.  includes: other files that this file includes.
+    """
+
+    tag: str
+    xacro: bool
+    has_bodies: bool
+    includes: tuple[Path, ...]
+
+
+def find_descriptions(folders: Iterable[str | Path]) -> SearchResult:
+    """Find all robot descriptions in folders (or files), sorted by path, without duplicates.
+
+    Args:
+        folders: Folders or files.
+    Returns:
+        The descriptions, and the numbers of files of all other kinds.
+    Raises:
+        LoadError: A folder is missing.
+    """
+    files = sorted({path for folder in folders for path in _files(Path(folder))})
+    headers = {path: header for path in files if (header := _read_header(path)) is not None}
+    included = {path.resolve() for header in headers.values() for path in header.includes}
+    fragments = macros = copies = 0
+    contents: set[str] = set()
+    descriptions = []
+    for path, header in headers.items():
+        if header.tag == "mujocoinclude" or not header.has_bodies:
+            fragments += 1
+        elif header.xacro:
+            macros += 1
+        else:
+            content = _content_hash(path, headers, set())
+            copies += content in contents
+            if content not in contents:
+                contents.add(content)
+                language = _KINDS[header.tag]
+                descriptions.append(Description(str(path), language, path.resolve() in included))
+    return SearchResult(tuple(descriptions), fragments, macros, copies)
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    if folder.is_file():
+        yield folder
+        return
+    if not folder.is_dir():
+        raise LoadError(f"no such folder: {folder}")
+    for path in folder.rglob("*"):
+        if path.suffix.lower() in _SUFFIXES and path.is_file():
+            yield path
+
+
+def _read_header(path: Path) -> _Header | None:
+    """Read the XML up to its first error; return None if it is neither URDF, MJCF nor SDF."""
+    first: list[tuple[str, bool]] = []
+    includes: list[Path] = []
+    has_bodies = False
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal has_bodies
+        if not first:
+            first.append((tag, any(name.startswith("xmlns:xacro") for name in attributes)))
+        has_bodies |= tag in ("link", "body", "replicate", "attach", "composite", "flexcomp")
+        if tag == "include" and "file" in attributes:
+            includes.append(path.parent / attributes["file"])
+            has_bodies = True
+        has_bodies |= first[0][0] == "sdf" and tag == "include"
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = start
+    with suppress(expat.ExpatError, ValueError, OSError):
+        if path.stat().st_size <= _MOST_BYTES:
+            parser.Parse(path.read_bytes().lstrip(), True)
+    if not first or first[0][0] not in (*_KINDS, "mujocoinclude"):
+        return None
+    tag, declared = first[0]
+    xacro = tag == "robot" and (path.suffix == ".xacro" or (declared and _has_macros(path)))
+    return _Header(tag, xacro, has_bodies, tuple(includes))
+
+
+def _has_macros(path: Path) -> bool:
+    text = path.read_bytes()
+    return b"<xacro:" in text or b"${" in text
+
+
+def _content_hash(path: Path, headers: dict[Path, _Header], including: set[Path]) -> str:
+    """Hash a file with the files it includes; `including`: chain of files that include it."""
+    content = hashlib.sha256()
+    with suppress(OSError):
+        content.update(path.read_bytes())
+    for other in headers[path].includes if path in headers else ():
+        if other not in including:
+            content.update(_content_hash(other, headers, including | {path}).encode())
+    return content.hexdigest()

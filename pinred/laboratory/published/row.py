@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, FrozenArrays
-from ...common.errors import InputError
-from ...common.names import nearest
+from ..bench.problems import select_named
 
 _WIDTH = 12  # significant digits of a closed form
 _ROUND_OFF = 1e-12  # fraction of the largest number below which a number is shown as zero
@@ -154,12 +153,7 @@ _NAME, _NUMBER = 22, 34  # widths of columns
 
 def select_rows(names: Sequence[str]) -> list[Row]:
     """Return the named rows, or all if `names` is empty; raise InputError for an unknown name."""
-    for name in names:
-        if name not in ROWS:
-            raise InputError(
-                f"no row '{name}'; {nearest(name, list(ROWS))}the rows are {', '.join(ROWS)}"
-            )
-    return [ROWS[name] for name in names or ROWS]
+    return list(select_named(names, ROWS, "row").values())
 
 
 def heading() -> str:
@@ -199,5 +193,5 @@ def summary(results: Sequence[Result]) -> str:
 
 def _first(text: str) -> str:
     """Return at most two of the numbers of a text."""
-    values = text.split(", ")
-    return ", ".join(values[:2]) + (", …" if len(values) > 2 else "")
+    words = text.split(", ")
+    return ", ".join(words[:2]) + (", …" if len(words) > 2 else "")

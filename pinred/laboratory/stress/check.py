@@ -13,12 +13,13 @@ from typing import Literal, TypeAlias, TypeVar
 
 import numpy as np
 
-from ...common.errors import InputError, PinredError
+from ...common.errors import PinredError
 from ...integrators.methods import DOP853, RKMK4, AdaptiveGauss, Gauss, Method
 from ...simulation.members.trajectories import Trajectories
 from ...simulation.simulate import simulate
 from ...simulation.simulate_many import simulate_many
 from ...simulation.trajectory import Trajectory
+from ..bench.problems import select_named
 
 T = TypeVar("T")
 _TIGHT = 1e-8  # largest relative tolerance for the `adaptive` methods
@@ -169,10 +170,7 @@ EPS = 2.220446049250313e-16
 
 def select_checks(names: Sequence[str]) -> list[Check]:
     """Return the named checks, or all if `names` is empty; raise InputError for an unknown name."""
-    unknown = [name for name in names if name not in CHECKS]
-    if unknown:
-        raise InputError(f"no check '{unknown[0]}'; the checks are {', '.join(CHECKS)}")
-    return [CHECKS[name] for name in names or CHECKS]
+    return list(select_named(names, CHECKS, "check").values())
 
 
 def run_checks(
@@ -204,21 +202,21 @@ def run_check(
 
 def table(outcomes: Sequence[Outcome]) -> str:
     """Format a table with the worst case of each check, followed by all failed cases."""
-    rows = [
+    lines = [
         f"{'check':<16} {'cases':>5} {'measured':>9} {'bound':>9}        {'wall':>6} s  worst case"
     ]
-    rows += [
+    lines += [
         f"{outcome.name:<16} {len(outcome.cases):>5} {outcome.measured:>9.1e} "
         f"{outcome.bound:>9.1e} {'ok' if outcome.passed else 'FAILED':>6} {outcome.wall:>8.1f}  "
         f"{'' if outcome.worst is None else outcome.worst.name}"
         for outcome in outcomes
     ]
     for outcome in outcomes:
-        rows += [f"{outcome.name}: {case}" for case in outcome.cases if not case.passed]
+        lines += [f"{outcome.name}: {case}" for case in outcome.cases if not case.passed]
         if outcome.stopped:
-            rows.append(
+            lines.append(
                 f"{outcome.name}: stopped after {len(outcome.cases)} cases: {outcome.stopped}"
             )
     passed = sum(outcome.passed for outcome in outcomes)
-    rows.append(f"{passed} of {len(outcomes)} checks passed")
-    return "\n".join(rows)
+    lines.append(f"{passed} of {len(outcomes)} checks passed")
+    return "\n".join(lines)

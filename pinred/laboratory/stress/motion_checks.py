@@ -13,10 +13,11 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 import pinocchio as pin
+from scipy.special import ellipj, ellipk, ellipkinc
 
 from ...common.arrays import Array
 from ...integrators.methods import DOP853, RKMK4, Gauss, Method
-from ...judge.distances import FullMotion
+from ...judge.reference_solution import FINEST, FullMotion, FullState, Size
 from ...judge.step_defects import largest_defect
 from ...scene.scene import Scene
 from ...simulation.trajectory import Trajectory
@@ -25,7 +26,6 @@ from ...system.load import load
 from ...system.robot_files import bundled_robots
 from ...system.system import System
 from .check import EPS, PER_GROWTH, Case, Cases, Trial, check, dop853, tolerance
-from .reference_motions import aba_reference, cartpole_period, euler_top, samples
 
 # Relative tolerances of the checks.
 _RETURN_RTOL, _REVERSAL_RTOL = 1e-12, 1e-10
@@ -234,7 +234,7 @@ def _energies(system: System, q: Array, v: Array) -> tuple[Array, Array]:
     """Compute total and kinetic energies, (T,) each, with Pinocchio."""
     model, data = system.model, system.model.createData()
     kinetic = np.array([pin.computeKineticEnergy(model, data, *s) for s in zip(q, v, strict=True)])
-    height = np.array([pin.computePotentialEnergy(model, data, row) for row in q])
+    height = np.array([pin.computePotentialEnergy(model, data, q_k) for q_k in q])
     return kinetic + height, kinetic
 
 
@@ -303,8 +303,8 @@ def _momenta(system: System, q: Array, v: Array) -> Array:
     centred[:, : system.group.linear] = 0.0
     return np.array(
         [
-            pin.computeCentroidalMomentum(model, data, *row).angular.copy()
-            for row in zip(centred, v, strict=True)
+            pin.computeCentroidalMomentum(model, data, *state).angular.copy()
+            for state in zip(centred, v, strict=True)
         ]
     )
 
@@ -486,3 +486,106 @@ def _convert(system: System, units: Units) -> System:
     inertial = np.where(_lengths(system), units.mass, units.mass * units.length**2)
     model.armature = model.armature * inertial
     return load(model)
+
+
+def euler_top(moments: Array, omega: Array, times: Array) -> tuple[Array, float]:
+    """Compute the body rates of a free rigid body (L. D. Landau, E. M. Lifshitz, Mechanics, §37).
+
+    Args:
+        moments: Increasing, distinct principal moments of inertia, (3,) [kg·m²].
+        omega: Body rates at time 0, (3,) [rad/s], not on a separatrix.
+        times: Times, (T,) [s].
+    Returns:
+        Body rates (T, 3) [rad/s], and their period [s].
+    """
+    a, b, c = moments
+    energy2, square = float(moments @ omega**2), float(moments**2 @ omega**2)
+    order = [0, 1, 2]
+    if square < energy2 * b:  # the body rotates about the axis of least moment, so exchange axes
+        order, (a, c) = [2, 1, 0], (c, a)
+    w1, w2, w3 = omega[order]
+    most = np.sqrt(
+        [
+            (energy2 * c - square) / (a * (c - a)),
+            (energy2 * c - square) / (b * (c - b)),
+            (square - energy2 * a) / (c * (c - a)),
+        ]
+    )
+    m = (b - a) * (energy2 * c - square) / ((c - b) * (square - energy2 * a))
+    speed = np.sqrt((c - b) * (square - energy2 * a) / (a * b * c))
+    # The order (3, 2, 1) is left-handed, but its moments decrease, so the sign is the same.
+    sense = np.sign(w3)
+    phase = ellipkinc(np.arctan2(w2 / most[1], w1 / most[0]), m)
+    period = 4.0 * ellipk(m)
+    sn, cn, dn, _ = ellipj(np.mod(phase + sense * speed * times, period), m)
+    rates = np.empty((len(times), 3))
+    rates[:, order] = np.stack([most[0] * cn, most[1] * sn, np.sign(w3) * most[2] * dn], axis=1)
+    return rates, float(period / speed)
+
+
+def cartpole_period(mass: float, lever: float, moment: float, gravity: float, most: float) -> float:
+    """Compute the period of a pole that swings on a free cart.
+
+    The substitution x = most · sin s makes the integrand smooth.
+
+    Args:
+        mass: Total mass of cart and pole [kg].
+        lever: Mass of the pole times the distance of its centre from the hinge [kg·m].
+        moment: Moment of inertia of the pole about the hinge [kg·m²].
+        gravity: Gravitational acceleration [m/s²].
+        most: Amplitude [rad], at which cart and pole are at rest.
+    Returns:
+        The period [s].
+    """
+
+    def integrand(s: Array) -> Array:
+        x = most * np.sin(s)
+        metric = moment - (lever * np.cos(x)) ** 2 / mass
+        # cos x − cos most, without cancellation near the amplitude
+        height = 2.0 * np.sin(0.5 * (most + x)) * np.sin(0.5 * (most - x))
+        return np.asarray(most * np.cos(s) * np.sqrt(metric / (2.0 * lever * gravity * height)))
+
+    # The midpoint rule converges exponentially for smooth periodic functions.
+    count = 400
+    middle = -0.5 * np.pi + np.pi * (np.arange(count) + 0.5) / count
+    return 2.0 * np.pi * float(np.mean(integrand(middle)))
+
+
+@dataclass(frozen=True)
+class AbaReference:
+    """Reference solution of a scene at some times.
+
+    Attributes:
+        full: Full simulation of the scene.
+        motion: Reference solution at the times.
+        size: Size of the motion, which serves as the unit of errors.
+        growth: Factor by which a small perturbation grows until the last time.
+    """
+
+    full: FullState
+    motion: FullMotion
+    size: Size
+    growth: float
+
+    def error(self, traj: Trajectory, times: Array) -> float:
+        """Return the largest error of a trajectory at `times`, relative to the motion's size."""
+        states = traj(times)
+        return self.error_of(FullMotion(x=states.x, q=states.q))
+
+    def error_of(self, motion: FullMotion) -> float:
+        """Return the largest error of a motion at the same times, relative to its size."""
+        return self.full.distance(self.motion, motion).worst(self.size)
+
+
+def aba_reference(scene: Scene, times: Array) -> AbaReference:
+    """Integrate a scene with ABA at times (T,); raise IntegrationError if the integration fails."""
+    full, start = FullState(scene), scene.start
+    y0 = full.state(start.pose, start.x, start.xi, start.xdot)
+    motion = full.run(y0, times, *FINEST)
+    growth = float(full.growth(y0, motion, times, 1e-10, 1e-12)[-1])
+    return AbaReference(full, motion, full.size(motion), growth)
+
+
+def samples(scene: Scene, count: int = 21) -> Array:
+    """Return evenly spaced times of a scene, including its end, (count,) [s]."""
+    return np.linspace(0.0, scene.end, count + 1)[1:]

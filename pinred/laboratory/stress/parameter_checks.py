@@ -6,30 +6,35 @@ closed form, both in units of the tolerance.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
-
+from typing import Any
 from ...common.arrays import Array
-from ...judge.distances import FullMotion
 from ...judge.step_defects import largest_defect
 from ...reduction.pointwise_reduction import symmetric
 from ...scene.scene import Scene
 from ...system.load import load
 from ...system.system import System
-from ..bench.problems import build_tree, chain
-from .check import DEFECT, EPS, PER_RADIAN, Case, Cases, Trial, check, dop853, tolerance
-from .reference_motions import (
-    TUMBLING,
-    SprungDiscs,
-    aba_reference,
-    body,
-    euler_top,
-    single,
-    symmetric_top,
-    tumbling_arm,
-)
+from ..bench.problems import build_tree
+from ..bench.problems import chain
+from .check import DEFECT
+from .check import EPS
+from .check import PER_RADIAN
+from .check import Case
+from .check import Cases
+from .check import Trial
+from .check import check
+from .check import dop853
+from .check import tolerance
+from collections.abc import Sequence
+from dataclasses import dataclass
+from numpy.typing import ArrayLike
+from scipy.linalg import eigh
+from ...judge.reference_solution import FullMotion
+from ...simulation.trajectory import Trajectory
+from ...system.state_fields import State
+from .motion_checks import aba_reference
+from .motion_checks import euler_top
 
 _RTOL = 1e-10
 _MOMENTS = np.array([1.0, 2.0, 2.5])  # of the tops [kg·m²]
@@ -311,7 +316,7 @@ def zero_momentum(trial: Trial) -> Cases:
 def _effect_by_aba(scene: Scene, options: dict[str, Any]) -> float:
     """Compute with ABA the change of the final shape that the momentum causes."""
     scenes = (Scene(system=scene.system, momentum=0, **options), scene)
-    a, b = (aba_reference(each, each.report_times).motion.x[-1] for each in scenes)
+    a, b = (aba_reference(case, case.report_times).motion.x[-1] for case in scenes)
     return float(np.abs(a - b).max())
 
 
@@ -373,3 +378,138 @@ def chaos(trial: Trial) -> Cases:
                 defect = largest_defect(traj, system) / rtol
                 bound = DEFECT + _OF_CHAOS * EPS / rtol
                 yield Case(f"{name}, {traj.run.method}, {duration:g} s, {rtol:.0e}", defect, bound)
+
+
+def symmetric_top(moment: float, axial: float, omega: Array, times: Array) -> Array:
+    """Compute the attitude of a free body with moments (moment, moment, axial).
+
+    The attitude is R(t) = exp(t J/I) exp(t ω₃(1 − C/I) e₃), with the identity at time 0.
+
+    Args:
+        moment: Transverse moment of inertia I [kg·m²].
+        axial: Axial moment of inertia C [kg·m²].
+        omega: Body rates at time 0, (3,) [rad/s].
+        times: Times, (T,) [s].
+    Returns:
+        (T, 3, 3) rotation matrices.
+    """
+    J = np.array([moment, moment, axial]) * omega
+    spin = np.array([0.0, 0.0, (1.0 - axial / moment) * omega[2]])
+    return np.array([_rotation(t * J / moment) @ _rotation(t * spin) for t in times])
+
+
+def _rotation(vector: Array) -> Array:
+    """Return the rotation matrix of a rotation vector (3,) by Rodrigues' formula."""
+    angle = float(np.linalg.norm(vector))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K)
+
+
+def discs(
+    moments: Array, stiffness: Array, x0: Array, rates: Array, times: Array
+) -> tuple[Array, Array]:
+    """Compute the motion of m + 1 discs on one axis by normal modes.
+
+    Args:
+        moments: Moments of inertia, (m + 1,) [kg·m²].
+        stiffness: Stiffness of the springs between neighbours, (m,) [N·m/rad].
+        x0: Twists of the springs at time 0, (m,) [rad].
+        rates: Rates of the first disc and of the twists at time 0, (m + 1,) [rad/s].
+        times: Times, (T,) [s].
+    Returns:
+        Angle of the first disc (T,), which is 0 at time 0, and twists (T, m) [rad].
+    """
+    m = len(stiffness)
+    absolute = np.tril(np.ones((m + 1, m + 1)))  # maps the first angle and the twists to all angles
+    H = absolute.T @ np.diag(moments) @ absolute
+    metric = H[1:, 1:] - np.outer(H[0, 1:], H[0, 1:]) / H[0, 0]
+    square, modes = eigh(np.diag(stiffness), metric)
+    omega = np.sqrt(square)
+    modal_x0, modal_rates = modes.T @ metric @ x0, modes.T @ metric @ rates[1:]
+    angle = np.outer(times, omega)
+    twists = (modal_x0 * np.cos(angle) + modal_rates / omega * np.sin(angle)) @ modes.T
+    steady = float(H[0] @ rates) / H[0, 0]
+    first = steady * times - (twists - x0) @ H[0, 1:] / H[0, 0]
+    return np.asarray(first), np.asarray(twists)
+
+
+def body(mass: float, com: ArrayLike, moments: ArrayLike) -> pin.Inertia:
+    """Return a body with centre of mass `com` (3,) and principal moments (3,) along its axes."""
+    return pin.Inertia(mass, np.asarray(com, dtype=float), np.diag(np.asarray(moments, float)))
+
+
+def tumbling_arm(name: str, bodies: Sequence[pin.Inertia]) -> System:
+    """Build a free base with an arm of three joints about different axes, from four bodies."""
+    joints = (pin.JointModelFreeFlyer(), pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ())
+    position = [0.3, 0.1, -0.2]
+    return build_tree(name, [(j, position, link) for j, link in zip(joints, bodies, strict=True)])
+
+
+TUMBLING: dict[str, Any] = {  # initial state of `tumbling_arm`
+    "x0": [0.3, -0.5, 0.4],
+    "xdot0": [0.6, -0.4, 0.8],
+    "xi0": [0.1, 0.2, -0.1, 0.3, -0.2, 0.4],
+}
+
+
+def disc_stack(moments: Sequence[float]) -> System:
+    """Build discs on one axis; the first is the base."""
+    z = np.zeros(3)
+    return build_tree(
+        "discs", [(pin.JointModelRZ(), z, body(1.0, z, [0.6 * i, 0.6 * i, i])) for i in moments]
+    )
+
+
+def single(moments: ArrayLike) -> System:
+    """Build a rigid body that rotates about its centre of mass."""
+    z = np.zeros(3)
+    return build_tree("body", [(pin.JointModelSpherical(), z, body(1.0, z, moments))])
+
+
+@dataclass(frozen=True)
+class SprungDiscs:
+    """Discs and their initial state.
+
+    Attributes:
+        moments: Moments of inertia, (m + 1,) [kg·m²].
+        stiffness: Stiffness of the springs, which are relaxed at zero twist, (m,) [N·m/rad].
+        x0: Initial twists of the springs, (m,) [rad].
+        rates: Initial rates of the first disc and of the twists, (m + 1,) [rad/s].
+        times: Times at which the motion is compared, (T,) [s].
+    """
+
+    moments: Array
+    stiffness: Array
+    x0: Array
+    rates: Array
+    times: Array
+
+    @property
+    def system(self) -> System:
+        """The discs as a robot; the first is the base."""
+        return disc_stack(self.moments.tolist())
+
+    @property
+    def start(self) -> dict[str, Array]:
+        """Options of Scene for the initial state."""
+        return {"x0": self.x0, "xdot0": self.rates[1:], "xi0": self.rates[:1]}
+
+    @property
+    def run(self) -> dict[str, Any]:
+        """Options of Scene for times and springs."""
+        names = self.system.shape_names
+        pairs = [(k, 0.0) for k in self.stiffness]
+        return {"times": self.times, "springs": dict(zip(names, pairs, strict=True))}
+
+    def error(self, motion: Trajectory | State, *, relative: bool = False) -> float:
+        """Return the largest error against the closed form [rad].
+
+        relative: divide the error of each twist by the twist's largest value.
+        """
+        first, twists = discs(self.moments, self.stiffness, self.x0, self.rates, self.times)
+        size = np.abs(twists).max(axis=0) if relative else 1.0
+        errors = np.abs(motion.x - twists) / size
+        return float(max(errors.max(), np.abs(motion.pose[:, 0] - first).max()))

@@ -25,9 +25,8 @@ from ....common.arrays import Array
 from ....common.errors import IntegrationError, UnsupportedOperationError
 from ....lie.group import Group
 from ....system.system import System
-from ..problems import Problem
-from ..solver import ATOL, End, PreparedRun, Solver, decades
-from .equality import missing_unless_equal, no_mass_matrix
+from ..problems import ATOL, End, PreparedRun, Problem, Solver, decades
+from .aba import missing_unless_equal, no_mass_matrix
 from .heyoka import reduced_graph
 
 

@@ -17,9 +17,8 @@ import pinocchio as pin
 from ....common.arrays import Array
 from ....common.errors import IntegrationError
 from ....system.system import System
-from ..problems import Problem
-from ..solver import End, PreparedRun, Solver, decades
-from .equality import frame_rotation_term, missing_unless_equal, root_rotation
+from ..problems import End, PreparedRun, Problem, Solver, decades
+from .aba import frame_rotation_term, missing_unless_equal, root_rotation
 
 
 def check_in_child_process(run: Callable[[], object], who: str) -> None:
@@ -97,7 +96,7 @@ class DrakeModel:
             ends = (f"joint{i}", frame, body.body_frame())
             joint = plant.AddJoint(self._joint(tree, S, ends))
             if (name := str(model.names[i])) in limits:
-                joint.set_position_limits(*([value] for value in limits[name]))
+                joint.set_position_limits(*([limit] for limit in limits[name]))
             armature = float(model.armature[model.joints[i].idx_v])
             if armature:
                 plant.AddJointActuator(f"rotor{i}", joint).set_default_rotor_inertia(armature)

@@ -18,9 +18,8 @@ from scipy.spatial.transform import Rotation
 from ....common.arrays import Array
 from ....common.errors import IntegrationError
 from ....system.system import System
-from ..problems import Problem
-from ..solver import ATOL, UNKNOWN, End, PreparedRun, Solver, decades, halvings, steps_of
-from .equality import frame_rotation_term, missing_unless_equal
+from ..problems import ATOL, UNKNOWN, End, PreparedRun, Problem, Solver, decades, halvings, steps_of
+from .aba import frame_rotation_term, missing_unless_equal
 
 Order = tuple[int, int, int]
 ORDERS: tuple[Order, ...] = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))

@@ -15,9 +15,8 @@ import numpy as np
 from ....common.arrays import Array
 from ....common.errors import IntegrationError, UnsupportedOperationError
 from ....kernels.reduced_graph import ReducedGraph
-from ..problems import Problem, compile_members
-from ..solver import PreparedRun, Solver, decades
-from .equality import INSTALL
+from ..problems import PreparedRun, Problem, Solver, compile_members, decades
+from .aba import INSTALL
 
 
 def has_heyoka() -> bool:
@@ -48,19 +47,19 @@ def taylor_expressions(function: ca.Function, parameters: Sequence[Any]) -> list
     y = [hy.expression(f"y{k}") for k in range(function.numel_in(0))]
     inputs: list[Sequence[Any]] = [y, list(parameters)]
     rate: list[Any] = [0.0] * function.numel_out(0)
-    value: dict[int, Any] = {}
+    expressions: dict[int, Any] = {}
     operations = _operations()
     for k in range(function.n_instructions()):
         op, source = function.instruction_id(k), function.instruction_input(k)
         target = function.instruction_output(k)
         if op == ca.OP_OUTPUT:
-            rate[target[1]] = value[source[0]]
+            rate[target[1]] = expressions[source[0]]
         elif op == ca.OP_INPUT:
-            value[target[0]] = inputs[source[0]][source[1]]
+            expressions[target[0]] = inputs[source[0]][source[1]]
         elif op == ca.OP_CONST:
-            value[target[0]] = float(function.instruction_constant(k))
+            expressions[target[0]] = float(function.instruction_constant(k))
         elif op in operations:
-            value[target[0]] = operations[op](*(value[i] for i in source))
+            expressions[target[0]] = operations[op](*(expressions[i] for i in source))
         else:
             raise UnsupportedOperationError(
                 f"instruction {k} of '{function.name()}' has no translation to heyoka; add it to "

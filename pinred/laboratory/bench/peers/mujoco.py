@@ -14,10 +14,8 @@ from ....common.arrays import Array
 from ....common.errors import UnsupportedOperationError
 from ....lie.group import Group
 from ....system.system import System
-from ..problems import Problem
-from ..solver import End, PreparedRun, Solver, halvings, steps_of
-from .equality import frame_rotation_term, missing_unless_equal, root_rotation
-from .scipy_over_field import Field, scipy_methods
+from ..problems import End, PreparedRun, Problem, Solver, halvings, steps_of
+from .aba import Field, frame_rotation_term, missing_unless_equal, root_rotation, scipy_methods
 
 
 class MujocoModel:
@@ -159,10 +157,10 @@ def _stepping(problem: Problem, fraction: float, integrator: str, stages: int) -
     mj, model, data = bridge.mj, bridge.model, bridge.data
     count, duration = steps_of(fraction), problem.start.duration
     qpos, qvel = bridge.qpos(problem.q0, problem.start.x), bridge.qvel(problem.q0, problem.v0)
-    kind = getattr(mj.mjtIntegrator, f"mjINT_{integrator}")
+    integrator_type = getattr(mj.mjtIntegrator, f"mjINT_{integrator}")
 
     def run() -> tuple[Array, Array]:
-        model.opt.timestep, model.opt.integrator = duration / count, kind
+        model.opt.timestep, model.opt.integrator = duration / count, integrator_type
         mj.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = qpos, qvel
         mj.mj_step(model, data, count)

@@ -16,15 +16,15 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import IntegrationError
 from pinred.forces import Torque
-from pinred.judge import stop_checks
+from pinred.judge import impact_checks
 from pinred.judge.reference_integrators import TimeBudget
 from pinred.judge.step_defects import defect_units, full_states
 from pinred.judge.stop_reference import (
     Hit,
     StoppedFullState,
     complementary,
-    full_state_of,
     matched,
+    stopped_full_state,
 )
 from pinred.judge.verdict import Verdict
 from pinred.simulation import run_with_stops
@@ -162,19 +162,19 @@ def checked_hits(
     traj: pinred.Trajectory, hits: list[Hit], bound: float
 ) -> tuple[dict[str, tuple[float, float]], tuple[str, ...]]:
     """Return the checks of a motion against given impacts and a bound on positions; reasons."""
-    full = full_state_of(traj)
+    full = stopped_full_state(traj)
     assert isinstance(full, StoppedFullState)
     times = np.linspace(0.0, traj.scene.end, 11)
-    result = stop_checks.check_stops(traj, full, hits, np.inf, times, np.full(11, bound))
+    result = impact_checks.check_stops(traj, full, hits, np.inf, times, np.full(11, bound))
     return {name: (value, allowed) for name, value, allowed in result.checks}, result.reasons
 
 
 def test_bounds_of_times_and_impulses_follow_from_the_bound_of_positions() -> None:
     """A time may have the error of the position over the speed, and round-off of the duration."""
     traj = cat(0.6)
-    full = full_state_of(traj)
+    full = stopped_full_state(traj)
     unit = defect_units(traj, full)[1][-traj.system.model.nv :]
-    hits = stop_checks._hits_of(traj.impacts)
+    hits = impact_checks._hits_of(traj.impacts)
     rates = {
         name: unit[traj.system.model.joints[traj.system.model.getJointId(name)].idx_v]
         for name in traj.system.shape_names
@@ -205,15 +205,15 @@ def test_order_of_impacts_within_the_errors_of_their_times_is_undecided(
 ) -> None:
     """Impacts closer than the sum of both errors may happen in another order."""
     traj, bound = cat(0.6), 1e-7
-    full = full_state_of(traj)
+    full = stopped_full_state(traj)
     assert isinstance(full, StoppedFullState)
-    rules = stop_checks._Rules.of(traj, full, np.linspace(0.0, 1.0, 11), np.full(11, bound))
-    first, second, *rest = stop_checks._hits_of(traj.impacts)
+    rules = impact_checks._Rules.of(traj, full, np.linspace(0.0, 1.0, 11), np.full(11, bound))
+    first, second, *rest = impact_checks._hits_of(traj.impacts)
     assert first.joint != second.joint
     closest = bound / first.speed + bound / second.speed + traj.scene.rtol
     own = [first, replace(second, t=first.t + 0.5 * closest), *rest]
     other = replace(second, t=first.t - parts * closest)
-    pairs, differs, undecided = stop_checks.pair_impacts(own, [other, first, *rest], 1.0, rules)
+    pairs, differs, undecided = impact_checks.pair_impacts(own, [other, first, *rest], 1.0, rules)
     assert not pairs
     assert (undecided if is_undecided else differs) == other.t
     assert (differs if is_undecided else undecided) == np.inf
@@ -222,17 +222,17 @@ def test_order_of_impacts_within_the_errors_of_their_times_is_undecided(
 def test_impacts_together_or_one_after_the_other_are_undecided() -> None:
     """Two joints that hit at once have other speeds and impulses than one after the other."""
     traj = cat(0.6)
-    full = full_state_of(traj)
+    full = stopped_full_state(traj)
     assert isinstance(full, StoppedFullState)
-    rules = stop_checks._Rules.of(traj, full, np.linspace(0.0, 1.0, 11), np.full(11, 1e-7))
-    first, second, *rest = stop_checks._hits_of(traj.impacts)
+    rules = impact_checks._Rules.of(traj, full, np.linspace(0.0, 1.0, 11), np.full(11, 1e-7))
+    first, second, *rest = impact_checks._hits_of(traj.impacts)
     own = [first, replace(second, t=first.t), *rest]
     slower = replace(own[1], speed=0.9 * second.speed, impulse=0.9 * second.impulse)
-    assert stop_checks.pair_impacts(own, [first, slower, *rest], 1.0, rules)[2] == first.t
-    assert stop_checks.pair_impacts(own, [first, slower, *rest], first.t, rules)[2] == np.inf
+    assert impact_checks.pair_impacts(own, [first, slower, *rest], 1.0, rules)[2] == first.t
+    assert impact_checks.pair_impacts(own, [first, slower, *rest], first.t, rules)[2] == np.inf
     # A wrong impulse at the right speed is a fault.
     wrong = replace(own[1], impulse=0.9 * second.impulse)
-    pairs, differs, undecided = stop_checks.pair_impacts(own, [first, wrong, *rest], 1.0, rules)
+    pairs, differs, undecided = impact_checks.pair_impacts(own, [first, wrong, *rest], 1.0, rules)
     assert (len(pairs), differs, undecided) == (len(own), np.inf, np.inf)
 
 
@@ -242,7 +242,7 @@ def test_impact_within_twice_its_error_before_the_end_is_undecided(
 ) -> None:
     """Only an impact this close to the end may be missing in one of the motions."""
     traj, bound = cat(0.6), 1e-7
-    hits = stop_checks._hits_of(traj.impacts)
+    hits = impact_checks._hits_of(traj.impacts)
     late = Hit(1.0, "bend", "upper", -1.0, 2.0)
     late = replace(late, t=1.0 - parts * bound / late.speed)
     checks, reasons = checked_hits(traj, [*hits, late], bound)
@@ -256,10 +256,10 @@ def test_momentum_and_pulls_three_times_beyond_their_bounds_fail(
 ) -> None:
     """The bounds are 1e-12 of the momentum and 1e-8 of the largest reaction."""
     traj = cat(0.6)
-    monkeypatch.setattr(stop_checks, check, lambda *_: size)
+    monkeypatch.setattr(impact_checks, check, lambda *_: size)
     names = {"_momentum_jump": "momentum at an impact", "_pull": "pull of a stop"}
     assert failed(traj) == {f"{names[check]} [relative]"}
-    monkeypatch.setattr(stop_checks, check, lambda *_: 0.3 * size)
+    monkeypatch.setattr(impact_checks, check, lambda *_: 0.3 * size)
     assert pinred.compare(traj)
 
 
@@ -305,7 +305,7 @@ def test_slow_impacts_may_be_missing_in_either_motion() -> None:
     assert matched([*hits(2.9e-5), *other], other, slowest)[1] == np.inf
     assert matched(other, [*hits(2.9e-5), *other], slowest)[1] == np.inf
     assert matched([*hits(3.1e-5), *other], other, slowest)[1] == 0.0
-    full = full_state_of(cat(0.6))
+    full = stopped_full_state(cat(0.6))
     assert isinstance(full, StoppedFullState)
     np.testing.assert_allclose(full.slowest, 1e-5, rtol=1e-12)
 
@@ -313,9 +313,9 @@ def test_slow_impacts_may_be_missing_in_either_motion() -> None:
 def test_grazes_within_the_error_of_positions_end_the_judgement() -> None:
     """Near misses by more than the bound decide nothing."""
     times, bounds = np.linspace(0.0, 1.0, 11), np.linspace(0.0, 1e-6, 11)
-    assert stop_checks.judgeable_until([(0.55, 0.59e-6)], np.inf, times, bounds) == 0.55
-    assert stop_checks.judgeable_until([(0.55, 0.61e-6)], np.inf, times, bounds) == np.inf
-    assert stop_checks.judgeable_until([(0.55, 0.61e-6)], 0.7, times, bounds) == 0.7
+    assert impact_checks.judgeable_until([(0.55, 0.59e-6)], np.inf, times, bounds) == 0.55
+    assert impact_checks.judgeable_until([(0.55, 0.61e-6)], np.inf, times, bounds) == np.inf
+    assert impact_checks.judgeable_until([(0.55, 0.61e-6)], 0.7, times, bounds) == 0.7
 
 
 SCENES = (0, 4, 5, 13, 24)  # a cluster, rests without reaction, an accumulation, and a loop
@@ -429,7 +429,7 @@ def test_pull_within_round_off_of_the_energy_passes(monkeypatch: pytest.MonkeyPa
     """Without forces, a cyclic joint rests without any reaction but round-off."""
     system, options = random_stops(5)
     traj = pinred.simulate(system, **options)
-    full = full_state_of(traj)
+    full = stopped_full_state(traj)
     assert isinstance(full, StoppedFullState)
     assert any("at its" in label for _, label in traj.motion.modes)
     y = full_states(traj, full, traj.t)
@@ -437,13 +437,13 @@ def test_pull_within_round_off_of_the_energy_passes(monkeypatch: pytest.MonkeyPa
     for part, passes in ((0.5, True), (5.0, False)):
         pull = part * 1e-13 * energy
         monkeypatch.setattr(StoppedFullState, "reactions", lambda *_, pull=pull: np.array([-pull]))
-        assert (stop_checks._pull(traj, full) == 0.0) is passes
+        assert (impact_checks._pull(traj, full) == 0.0) is passes
 
 
 def test_reactions_are_computed_at_most_400_times(monkeypatch: pytest.MonkeyPatch) -> None:
     """A motion with many short steps at rest costs no more."""
     traj = cat(0.0, forces=[PRESS], method="DOP853(max_step=2e-3)")
-    full, counts = full_state_of(traj), list[int]()
+    full, counts = stopped_full_state(traj), list[int]()
     assert isinstance(full, StoppedFullState)
     assert len(traj.motion.knots) > 450
 
@@ -451,8 +451,8 @@ def test_reactions_are_computed_at_most_400_times(monkeypatch: pytest.MonkeyPatc
         counts.append(len(of[2]))
         return full_states(*of)
 
-    monkeypatch.setattr(stop_checks, "full_states", counted)
-    assert stop_checks._pull(traj, full) == 0.0
+    monkeypatch.setattr(impact_checks, "full_states", counted)
+    assert impact_checks._pull(traj, full) == 0.0
     assert counts == [400]
 
 
@@ -463,7 +463,7 @@ def test_reference_finds_rebounds_that_are_short_for_its_steps() -> None:
         bouncing_slide(), x0=[0.0], xdot0=[-1.0], xi0=[0.0], duration=4.0,
         forces=[Torque(lambda *_: [-push])], stops={"slide": pinred.Stop(0.0, restitution=0.5)},
     )  # fmt: skip
-    full, start = full_state_of(traj, TimeBudget(60.0)), traj.scene.start
+    full, start = stopped_full_state(traj, TimeBudget(60.0)), traj.scene.start
     assert isinstance(full, StoppedFullState)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     hits = full.solve_with_stops(y0, np.array([0.0, 4.0]), 1e-12, 1e-14).hits
@@ -481,7 +481,7 @@ def test_speeds_affected_by_round_off_are_ten_times_that_of_a_sustained_rebound(
         bouncing_slide(), x0=[0.3], xdot0=[-1.0], xi0=[0.0], duration=1e-5,
         forces=[Torque(lambda *_: [-push])], stops={"slide": pinred.Stop(0.3, restitution=0.5)},
     )  # fmt: skip
-    full, start = full_state_of(traj), traj.scene.start
+    full, start = stopped_full_state(traj), traj.scene.start
     assert isinstance(full, StoppedFullState)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     hits = full.solve_with_stops(y0, np.array([0.0, 1e-5]), 1e-12, 1e-14).hits
