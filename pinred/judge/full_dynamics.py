@@ -16,31 +16,32 @@ sampled, too.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
-from collections.abc import Iterable
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from functools import partial
+
 from ..common.arrays import Array
 from ..forces.force_model import ForceModel
-from ..forces.force_numbers import BaseInSpace
-from ..forces.force_numbers import FunctionBuffers
+from ..forces.force_numbers import BaseInSpace, FunctionBuffers
 from ..kernels.pinocchio_terms import LoadsByPinocchio
 from ..scene.scene import Scene
 from ..simulation.plan import stops_of
 from ..simulation.reduced_flow import Sample
 from ..system.coordinates import Indices
 from ..system.system import System
-from .full_system import Configuration
-from .full_system import CouplingConstraints
-from .full_system import RootMotion
-from .full_system import SystemTotals
-from .full_system import closed
-from .full_system import normalise
-from .full_system import root_motion
+from .full_system import (
+    Configuration,
+    CouplingConstraints,
+    RootMotion,
+    SystemTotals,
+    closed,
+    normalise,
+    root_motion,
+)
 
 _SAMPLES = 1 << 14
 _RESOLUTION = 1e-14  # length at which bisection ends, as a fraction of the duration

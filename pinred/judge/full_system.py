@@ -21,26 +21,24 @@ Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8.
 
 from __future__ import annotations
 
-import casadi as ca
-import numpy as np
-import pinocchio as pin
-from collections.abc import Callable
-from collections.abc import Collection
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
 from ..common.arrays import Array
 from ..forces.force_numbers import FunctionBuffers
 from ..system.loops.kinematics import LoopKinematics
-from ..system.loops.loop_assembly import assemble
-from ..system.loops.loop_assembly import loop_length
-from ..system.singular_mass_matrix import SingularShapes
-from ..system.singular_mass_matrix import singular_shapes
+from ..system.loops.loop_assembly import assemble, loop_length
+from ..system.singular_mass_matrix import SingularShapes, singular_shapes
 from ..system.state_fields import State
-from ..system.system import System
-from ..system.system import moved_masses
+from ..system.system import System, moved_masses
 from .reference_integrators import dposv
+
 
 @dataclass(frozen=True)
 class RootMotion:

@@ -30,20 +30,20 @@ from __future__ import annotations
 
 import sys
 import warnings
-import numpy as np
-import scipy
 from bisect import bisect_right
-from collections.abc import Callable
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from runpy import run_path
-from time import perf_counter
-from time import thread_time
+from time import perf_counter, thread_time
 from types import ModuleType
 from typing import Any
+
+import numpy as np
+import scipy
 from numpy.polynomial import legendre
+
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
 from ..common.waiting import held_interrupt

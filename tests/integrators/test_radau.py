@@ -4,52 +4,46 @@ from __future__ import annotations
 
 import signal
 import threading
+from dataclasses import replace
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from dataclasses import replace
-from typing import Any
 from aba import kinematics
 from numpy.polynomial import Polynomial
 from orders import fit_order
 from scipy.integrate import solve_ivp
 from scipy.integrate._ivp import radau as book
 from stiff_kernels import kernels
-from pinred import DOP853
-from pinred import Radau
-from pinred.common.arrays import Array
-from pinred.common.arrays import read_only
-from pinred.common.errors import InputError
-from pinred.common.errors import KernelMismatch
-from pinred.common.errors import NonFiniteState
-from pinred.common.errors import StepSizeUnderflow
-from pinred.common.errors import TooManySteps
-from pinred.forces import PD
-from pinred.forces import Damper
-from pinred.forces import Limit
-from pinred.forces import Torque
+
+import pinred
+from pinred import DOP853, Radau
+from pinred.common.arrays import Array, read_only
+from pinred.common.errors import (
+    InputError,
+    KernelMismatch,
+    NonFiniteState,
+    StepSizeUnderflow,
+    TooManySteps,
+)
+from pinred.forces import PD, Damper, Limit, Torque
 from pinred.integrators import integrate as drive
 from pinred.integrators.integrate import integrate
-from pinred.integrators.integrate_many import STATUS
-from pinred.integrators.integrate_many import integrate_many
+from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.radau import radau_iia
 from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_state
-from pinred.integrators.stepping.linear_systems import factor
-from pinred.integrators.stepping.linear_systems import factor_complex
-from pinred.integrators.stepping.linear_systems import solve
-from pinred.integrators.stepping.linear_systems import solve_complex
-from pinred.judge.reference_solution import FullState
+from pinred.integrators.stepping.linear_systems import factor, factor_complex, solve, solve_complex
+from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.kernels import derived_code as tangent
-from pinred.kernels.derived_code import jacobian_of
-from pinred.kernels.derived_code import tangent_of
+from pinred.kernels.derived_code import jacobian_of, tangent_of
 from pinred.kernels.machine import native
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
-from pinred.judge.reference_solution import FullMotion
+
 
 def _pol(y: Any, p: Any, d: Any) -> None:
     d[0], d[1] = y[1], p[0] * (1.0 - y[0] * y[0]) * y[1] - y[0]

@@ -7,75 +7,64 @@ milliseconds, and other processes on the machine would distort their wall time.
 
 from __future__ import annotations
 
-import time
-import numpy as np
 import os
 import subprocess
 import sys
+import time
 import tracemalloc
-from collections.abc import Callable
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import cycle
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace
+
+import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+
 from ...analysis.equilibria.find import relative_equilibria
 from ...analysis.equilibria.relative_equilibrium import RelativeEquilibrium
-from ...analysis.stability.along_motions import floquet
-from ...analysis.stability.along_motions import linearise
+from ...analysis.stability.along_motions import floquet, linearise
 from ...analysis.stability.linearised_flow import without_base
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
-from ...common.errors import InputError
-from ...common.waiting import Progress
-from ...common.waiting import one_by_one
+from ...common.errors import InputError, IntegrationError, PinredError
+from ...common.waiting import Progress, one_by_one, quiet, shown
 from ...forces.kinds import Damper
-from ...judge.compare import compare
-from ...kernels.derived_code import jacobian_of
-from ...reduction.pointwise_reduction import PointwiseReduction
-from ...scene.scene import Scene
-from ...simulation.compiled.compiled_flow import CompiledFlow
-from ...simulation.plan import plan_of
-from ...simulation.simulate import simulate
-from ...simulation.trajectory import Trajectory
-from ...system.load import load
-from ...views.playback.film import SIZE
-from ...views.playback.film import Frames
-from ...views.playback.view_options import FILM_FPS
-from ...views.playback.view_options import View
-from .timing import Table
-from .timing import alternating
-from .timing import repeated
-from .timing import robots_to_measure
-from itertools import cycle
-from tempfile import TemporaryDirectory
-from ...common.errors import IntegrationError
-from ...common.errors import PinredError
-from ...common.waiting import quiet
-from ...common.waiting import shown
-from ...integrators.integrate_many import Solutions
-from ...integrators.integrate_many import integrate_many
+from ...integrators.integrate_many import Solutions, integrate_many
 from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import DOP853
-from ...judge.reference_solution import FINEST
-from ...judge.reference_solution import FullMotion
-from ...kernels.derived_code import wide_rate
+from ...judge.compare import compare
+from ...judge.reference_solution import FINEST, FullMotion
+from ...kernels.derived_code import jacobian_of, wide_rate
+from ...reduction.pointwise_reduction import PointwiseReduction
 from ...scene.initial_state import random_state
+from ...scene.scene import Scene
+from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.members.integrate_members import lanes_of
 from ...simulation.members.trajectories import Trajectories
+from ...simulation.plan import plan_of
+from ...simulation.simulate import simulate
 from ...simulation.simulate_many import simulate_many
+from ...simulation.trajectory import Trajectory
+from ...system.load import load
 from ...system.system import System
+from ...views.playback.film import SIZE, Frames
+from ...views.playback.view_options import FILM_FPS, View
 from .peers.heyoka import HEYOKA_BATCH
 from .peers.mujoco import ROLLOUT
-from .problems import End
-from .problems import PreparedRun
-from .problems import Problem
-from .problems import Solver
-from .problems import compile_members
-from .problems import generate_members
-from .problems import problems_named
-from .problems import select_named
+from .problems import (
+    End,
+    PreparedRun,
+    Problem,
+    Solver,
+    compile_members,
+    generate_members,
+    problems_named,
+    select_named,
+)
+from .timing import Table, alternating, repeated, robots_to_measure
 
 _ROUNDS = 7
 

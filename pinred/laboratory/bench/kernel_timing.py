@@ -6,65 +6,53 @@ cost of a flow is relative to a run, that of a kernel's derivative to an evaluat
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
-from collections.abc import Callable
-from collections.abc import Sequence
-from types import SimpleNamespace
-from typing import Any
+
 from ...common.argument_kinds import checks_arguments
-from ...common.errors import InputError
-from ...common.waiting import Progress
-from ...common.waiting import one_by_one
-from ...common.waiting import quiet
-from ...common.waiting import shown
-from ...forces import SeenState
-from ...forces import Torque
-from ...forces import Wrench
-from ...forces.force_model import ForceModel
-from ...kernels.build import build_kernel
-from ...kernels.kernel import Kernel
-from ...kernels.kernel import Structure
-from ...reduction.cyclic_joints import cyclic_joints
-from ...reduction.pointwise_reduction import PointwiseReduction
-from ...system.load import load
-from ...system.system import System
-from .problems import FAMILIES
-from .problems import chain
-from .timing import ROUNDS
-from .timing import NoCache
-from .timing import Table
-from .timing import alternating
-from .timing import evaluations
-from .timing import fastest
-from .timing import repeated
-from .timing import robots_to_measure
-from dataclasses import dataclass
-from dataclasses import replace
-from functools import partial
 from ...common.arrays import Array
+from ...common.errors import InputError
+from ...common.waiting import Progress, one_by_one, quiet, shown
+from ...forces import SeenState, Torque, Wrench
+from ...forces.force_model import ForceModel
 from ...integrators.integrate import Integration
 from ...integrators.methods.method import stepper_of
 from ...integrators.run_derivatives import run_back
 from ...integrators.stepping.compiling import compiled
-from ...integrators.stepping.kernel_call import SEEDS
-from ...integrators.stepping.kernel_call import call
-from ...integrators.stepping.kernel_call import call_slopes
+from ...integrators.stepping.kernel_call import SEEDS, call, call_slopes
 from ...integrators.stepping.linear_systems import jacobian
-from ...kernels.derived_code import tangent_of
-from ...kernels.differentiable import repeat_adjoint
-from ...kernels.evaluate import repeat
+from ...kernels.build import build_kernel
+from ...kernels.derived_code import jacobian_code, tangent_of
+from ...kernels.evaluate import repeat, repeat_adjoint
 from ...kernels.flow_functions import rate_of
+from ...kernels.kernel import Kernel, Structure
 from ...kernels.reduced_graph import ReducedGraph
-from ...kernels.state_jacobian import jacobian_code
-from ...reduction.tree.free_bodies import STEP
-from ...reduction.tree.free_bodies import Freed
-from ...reduction.tree.free_bodies import pattern_of
-from ...simulation.flow_map.flow import Flow
-from ...simulation.flow_map.flow import flow
+from ...reduction.cyclic_joints import cyclic_joints
+from ...reduction.pointwise_reduction import PointwiseReduction
+from ...reduction.tree.free_bodies import STEP, Freed, pattern_of
+from ...simulation.flow_map.flow import Flow, flow
 from ...simulation.simulate import simulate
-from .timing import timed
+from ...system.load import load
+from ...system.system import System
+from .problems import FAMILIES, chain
+from .timing import (
+    ROUNDS,
+    NoCache,
+    Table,
+    alternating,
+    evaluations,
+    fastest,
+    repeated,
+    robots_to_measure,
+    timed,
+)
 
 _BUNDLED = ("coupled_planar", "planar_chain5", "falling_cat", "satellite_two_arms")
 _EXAMPLES = ("ur5", "solo12", "talos")

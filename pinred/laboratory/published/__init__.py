@@ -27,6 +27,6 @@ from ...simulation.contact.landing import land as land
 from ...simulation.simulate import simulate as simulate
 from ...system.load import load as load
 from ...system.robot_description import Model as Model
+
 from . import dynamics as dynamics  # isort: skip
 from . import locomotion as locomotion  # isort: skip
-

@@ -7,16 +7,17 @@ shape panel shows the path in shape space over the curvature of the connection.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
 import numpy as np
 import pinocchio as pin
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import field
+
 from ...analysis.full_reduction import Reduction
-from ...common.arrays import Array
-from ...common.arrays import FrozenArrays
+from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...common.names import quoted
+from ...judge.compare import full_state_of
 from ...judge.stop_reference import StoppedFullState
 from ...lie.group import Group
 from ...lie.rotations import rotation
@@ -27,7 +28,6 @@ from ...system.state_fields import State
 from ...system.system import System
 from ..motion_source import MotionSource
 from .view_options import View
-from ...judge.compare import full_state_of
 
 MOST_FRAMES = 100_000
 

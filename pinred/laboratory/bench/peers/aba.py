@@ -26,11 +26,11 @@ from scipy.integrate import ode, odeint, solve_ivp
 
 from ....common.arrays import Array
 from ....common.errors import IntegrationError, UnsupportedOperationError
-from ....common.interrupts import held_interrupt
-from ....common.optional_packages import install_command
+from ....common.installation import install_command
+from ....common.waiting import held_interrupt
 from ....judge.full_system import root_motion
 from ....lie.group import Group
-from ....reduction.inertia_split import symmetric
+from ....reduction.pointwise_reduction import symmetric
 from ....system.system import System
 from ..problems import ATOL, UNKNOWN, End, PreparedRun, Problem, Solver, decades, halvings, steps_of
 
