@@ -267,7 +267,7 @@ def test_peaks_beyond_limits_are_those_of_a_fine_grid() -> None:
     limits = limits_of(A, [(-0.5, 1.0), (-1.0, 1.0)], 2.0, 0.3)
     c = np.random.default_rng(5).uniform(-0.5, 0.5, (5, 2))
     found = LimitedLoop(A, limits, c, T).peaks_beyond()
-    s = np.arange(4000) / 4000.0
+    s = np.arange(1000) / 1000.0
     x, rate, bend = (row @ c for row in fourier_rows(2, s))
     states = zip(x, rate / T, bend / T**2, strict=True)
     tau = np.array([joint_torques(system, *state) for state in states])

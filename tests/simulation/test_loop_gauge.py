@@ -47,20 +47,23 @@ def run(method: Method, duration: float) -> tuple[pinred.Trajectory, Array]:
     return traj, nu
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize(
-    ("method", "gap", "energy"),
-    [(pinred.DOP853(1e-10, 1e-12), 3e-8, 3e-7), (pinred.Gauss(0.005, 6), 1e-7, 5e-8)],
+    ("method", "gap", "energy", "end"),
+    [
+        (pinred.DOP853(1e-10, 1e-12), 3e-8, 3e-7, 200.0),
+        pytest.param(pinred.DOP853(1e-10, 1e-12), 3e-8, 3e-7, 1000.0, marks=pytest.mark.by_hand),
+        pytest.param(pinred.Gauss(0.005, 6), 1e-7, 5e-8, 1000.0, marks=pytest.mark.by_hand),
+    ],
 )
-def test_multipliers_momentum_and_energy_stay_bounded_over_1000_seconds(
-    method: Method, gap: float, energy: float
+def test_multipliers_momentum_and_energy_stay_bounded(
+    method: Method, gap: float, energy: float, end: float
 ) -> None:
     """The number of steps per second does not grow either."""
     short, early = run(method, 10.0)
-    traj, nu = run(method, 1000.0)
+    traj, nu = run(method, end)
     assert early.max() > 5.0
     assert nu.max() < 1.2 * early.max()
-    assert traj.run.steps < 105 * short.run.steps
+    assert traj.run.steps < 0.105 * end * short.run.steps
     assert max(np.abs(loop_values(traj.system, x)).max() for x in traj.x) < gap
     J = traj.spatial_momentum
     assert np.abs(J - J[0]).max() < 1e-12 * np.abs(J).max()
