@@ -68,13 +68,13 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark tests that open pages as slow, and deselect tests that were not requested."""
     for item in items:
-        if item.get_closest_marker("browser") or item.get_closest_marker("by_hand"):
+        if item.get_closest_marker("browser") or _is_by_hand(item):
             item.add_marker(pytest.mark.slow)
     examples = config.getoption("--examples")
     selected = [item for item in items if not examples or _set_examples(item, examples)]
     if not config.getoption("--by-hand"):
-        selected = [item for item in selected if not item.get_closest_marker("by_hand")]
-        selected = _sampled_cases(selected)
+        selected = _sampled_cases([item for item in selected if not _is_by_hand(item, "")])
+        selected = [item for item in selected if not _is_by_hand(item)]
     kept = set(selected)
     config.hook.pytest_deselected(items=[item for item in items if item not in kept])
     items[:] = selected
@@ -90,6 +90,12 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     run = getattr(session.config, "workerinput", {}).get("testrunuid", "")
     if run and len(session.items) > _MANY:
         compile_ahead(Path(gettempdir()) / f"pinred-{run}")
+
+
+def _is_by_hand(item: pytest.Item, case: str | None = None) -> bool:
+    """Return whether a marker `by_hand` names no cases, or names a case: by default the item's."""
+    case = item.nodeid.partition("[")[2].removesuffix("]") if case is None else case
+    return any(not mark.args or case in mark.args for mark in item.iter_markers("by_hand"))
 
 
 def _sampled_cases(items: list[pytest.Item]) -> list[pytest.Item]:

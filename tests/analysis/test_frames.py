@@ -35,6 +35,8 @@ def frame_of_box(degree: int | None = None) -> pinred.OptimalFrame:
     return pinred.optimal_frame(swimmer(), BOX, degree=degree)
 
 
+# `test_frames_with_balls` compares the surface integral with the phase.
+@pytest.mark.by_hand
 def test_optimal_frame_reduces_error_of_surface_integral() -> None:
     """For Purcell's circle of radius 1 the error falls from 27 % to below 0.5 %."""
     A = swimmer()

@@ -89,6 +89,8 @@ LOADS = {
 }
 
 
+# Both engines run by default with both frames on other groups.
+@pytest.mark.by_hand("SO3-world-compiled", "SE2-world-pinocchio", "SO2-body-pinocchio")
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("axes", LOADS)
 @pytest.mark.parametrize("group", GROUPS)

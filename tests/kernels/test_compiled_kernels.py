@@ -79,6 +79,8 @@ def test_kernel_rate_satisfies_hamilton_poincare(case: Case) -> None:
     np.testing.assert_allclose(y[k : 2 * k], (p + mu @ at.local_connection)[active], atol=1e-9)
 
 
+# Smaller robots have balls and free roots.
+@pytest.mark.by_hand("diver", "astronaut")
 @pytest.mark.parametrize(
     "name",
     [

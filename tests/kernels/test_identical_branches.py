@@ -305,6 +305,8 @@ def test_derivatives_of_lane_operations_equal_casadi(width: int) -> None:
     assert found[-1] == 0.0  # a constant
 
 
+# Case SE3-2 contains the planar terms.
+@pytest.mark.by_hand("SE2-4")
 @pytest.mark.sampled
 @pytest.mark.parametrize(("group", "limbs"), [("SE3", 2), ("SO3", 3), ("SE2", 4), ("SE3", 5)])
 def test_derivatives_with_identical_branches_equal_casadi(group: str, limbs: int) -> None:

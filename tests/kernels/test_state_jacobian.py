@@ -40,6 +40,8 @@ def require_equal_jacobians(kernel: Kernel) -> None:
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
 
 
+# SE3-2 contains their terms.
+@pytest.mark.by_hand("SO3-3", "SE2-4")
 @pytest.mark.parametrize(
     ("group", "limbs"), [("SE3", 2), ("SO3", 3), ("SE2", 4), ("SO2", 1), ("R", 2)]
 )

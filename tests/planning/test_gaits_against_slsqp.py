@@ -70,6 +70,8 @@ def problems() -> list[Any]:
     return cases
 
 
+# test_extremal.py compares the best rotation per length with an independent extremal.
+@pytest.mark.by_hand("three_rods-rotation-length-0.9")
 @pytest.mark.parametrize(("robot", "options"), problems())
 def test_reference_finds_no_better_gait(
     robot: str, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch

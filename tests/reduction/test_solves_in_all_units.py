@@ -89,6 +89,7 @@ def test_loop_motion_is_accurate_in_all_units(length: float) -> None:
     assert error(values[2:], -np.linalg.solve(J[:, 2:], J[:, :2])) < EXACT
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("units", UNITS, ids=str)
 @pytest.mark.parametrize("count", [1, 2, 5, 6])
 def test_wheels_are_accurate_in_all_units(count: int, units: Units) -> None:

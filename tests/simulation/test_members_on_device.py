@@ -73,6 +73,8 @@ def test_members_in_device_threads_agree_with_members_in_lanes(
         assert (np.abs(values - expected).max(axis=(1, 2)) <= bound).all()
 
 
+# Whether time is an input of the outputs is tested in test_member_outputs.py.
+@pytest.mark.by_hand("time is an input")
 @pytest.mark.parametrize("forces", [False, True], ids=["time is an input", "time is a state"])
 def test_states_are_computed_on_the_device(
     cat: System, monkeypatch: pytest.MonkeyPatch, *, forces: bool

@@ -148,6 +148,8 @@ CASES = {
 CONTAINED = {"plastic", "PD", "spline"}
 
 
+# Other tests have controllers with stops, and gravity in both engines.
+@pytest.mark.by_hand("controller", "gravity")
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=pytest.mark.by_hand) if n in CONTAINED else n for n in CASES]
 )
@@ -176,6 +178,8 @@ def test_both_engines_find_the_same_impacts_and_modes(name: str) -> None:
     )
 
 
+# The previous test compares this motion with the other engine.
+@pytest.mark.by_hand("rest and release")
 @pytest.mark.parametrize(
     "name", [pytest.param("bouncing", marks=pytest.mark.by_hand), "follower", "rest and release"]
 )
@@ -212,6 +216,8 @@ def spatial_momentum(q: Array, v: Array) -> Array:
     return h
 
 
+# Case "spline and rest" above compares this motion with the other engine.
+@pytest.mark.by_hand("pinocchio-0.0")
 @pytest.mark.parametrize(
     ("engine", "restitution"),
     [

@@ -35,6 +35,8 @@ def controlled(force: Any, **options: Any) -> pinred.Trajectory:
     )  # fmt: skip
 
 
+# `test_stops_of_balls.py` presses a ball against its stop by computed torque.
+@pytest.mark.by_hand("computed torque")
 @pytest.mark.parametrize(
     "force",
     [

@@ -104,6 +104,7 @@ def test_arrow_in_closed_form(name: str, wanted: list[float]) -> None:
     np.testing.assert_allclose(film(name, duration=1.0).momentum.vector, [wanted] * 61, atol=1e-9)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_arrow_of_random_trees_is_constant(group: str, seed: int) -> None:
