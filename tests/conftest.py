@@ -5,9 +5,12 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 import threading
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from tempfile import gettempdir
 from zlib import crc32
@@ -63,6 +66,23 @@ def pytest_configure(config: pytest.Config) -> None:
         and signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     ):
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Let each process of a run of all tests import, and so cache, another share of the files.
+
+    Pytest rewrites the assertions of a file before it compiles it, which takes longer than to
+    import it. The other processes find the result.
+    """
+    worker = getattr(session.config, "workerinput", {})
+    if not worker or session.config.args != session.config.getini("testpaths"):
+        return
+    paths = sorted(Path(__file__).parent.rglob("test_*.py"))
+    sys.path[:0] = sorted({str(path.parent) for path in paths} - {*sys.path})
+    for path in paths[int(worker["workerid"][2:]) :: worker["workercount"]]:
+        # The collection imports, and reports, what fails here.
+        with suppress(Exception, pytest.skip.Exception):
+            import_module(path.stem)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

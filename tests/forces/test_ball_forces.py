@@ -91,6 +91,8 @@ def test_pd_follows_moving_attitude_and_its_rate() -> None:
     np.testing.assert_allclose(model.acting(at).torque, expected, atol=1e-14)
 
 
+# test_ball_tracking.py has PD along a plan.
+@pytest.mark.by_hand
 def test_pd_keeps_ball_on_moving_attitude() -> None:
     """A ball that starts on the target stays near it; compare agrees."""
     target = Attitude(["0.5*sin(2*t)", "0.2*t", 0.0], REST)

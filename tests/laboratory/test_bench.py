@@ -25,6 +25,7 @@ from pinred.laboratory.bench import (
     call_timing,
     first_calls,
     flow_timing,
+    kernel_timing,
     method_choice,
     timing,
 )
@@ -102,9 +103,11 @@ def test_chain_inertia_in_closed_form() -> None:
 
 
 def test_bench_forces_counts_integrated_states(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """A torque adds no state; a wrench adds momentum, a path, and time if needed."""
+    monkeypatch.setattr(kernel_timing, "_MANY", 2)
+    monkeypatch.setattr(kernel_timing, "_SHORT", 1e-5)
     (result,) = bench_forces(["planar_chain5"])
     assert result.integrated == "11, 11, 16, 17"
     assert min(result.torque, result.wrench, result.full) > 0.0

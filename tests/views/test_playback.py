@@ -105,8 +105,8 @@ def test_arrow_in_closed_form(name: str, wanted: list[float]) -> None:
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("group", GROUPS)
 def test_arrow_of_random_trees_is_constant(group: str, seed: int) -> None:
     """For tilted roots and branches out of plane, the arrow is the conserved momentum."""
     model = random_model(group, 4, seed)
