@@ -35,7 +35,7 @@ def frame_of_box(degree: int | None = None) -> pinred.OptimalFrame:
     return pinred.optimal_frame(swimmer(), BOX, degree=degree)
 
 
-# `test_frames_with_balls` compares the surface integral with the phase.
+# Further tests have the distance of this frame, and surface integrals that are phases.
 @pytest.mark.by_hand
 def test_optimal_frame_reduces_error_of_surface_integral() -> None:
     """For Purcell's circle of radius 1 the error falls from 27 % to below 0.5 %."""

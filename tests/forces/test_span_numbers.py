@@ -58,6 +58,8 @@ def model_of(scene: pinred.Scene) -> ForceModel:
     return model
 
 
+# Each kind of spline runs in the compiled engine, and one in both.
+@pytest.mark.by_hand("clamped-pinocchio", "natural-pinocchio", "not-a-knot-pinocchio")
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("end", tabulated.ENDS)
 def test_driven_joint_follows_spline_of_scipy(engine: Engine, end: Any) -> None:

@@ -252,6 +252,8 @@ def test_compare_passes_with_couplings_and_forces(group: str, seed: int) -> None
     assert report.passed, str(report)
 
 
+# `test_acceleration_of_tree_that_is_singular_without_couplings` has the same tree.
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_compare_passes_for_tree_that_is_singular_without_couplings(tmp_path: Path) -> None:
     """A massless leader that moves its follower needs one linear system instead of ABA."""

@@ -140,6 +140,8 @@ def solve_briefly(robot: str) -> tuple[Problem, FullMotion]:
     return problem, reference_of(problem).end
 
 
+# Other methods of both packages run by default.
+@pytest.mark.by_hand("drake-rk3", "cvodes-reduced")
 @pytest.mark.parametrize("method", SOLVERS, ids=lambda method: method.name)
 def test_methods_converge_to_reference(method: Solver) -> None:
     """In every group, errors decrease with the order or with the tolerance."""

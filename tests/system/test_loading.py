@@ -257,6 +257,8 @@ def test_lock_model_without_joint_frames() -> None:
     assert done.returncode == 0, done.stderr
 
 
+# The other quadruped runs by default.
+@pytest.mark.by_hand("anymal_c")
 @needs_robots
 @pytest.mark.parametrize("name", ["solo12", "talos", "anymal_c"])
 @pytest.mark.sampled

@@ -100,6 +100,8 @@ def distance(connection: pinred.Connection, pose: Array, placement: list[float])
     return float(np.linalg.norm(pin.log6(place.actInv(pin.XYZQUATToSE3(np.array(placement))))))
 
 
+# Another planar robot runs by default.
+@pytest.mark.by_hand("three_rods")
 @pytest.mark.parametrize("name", ROBOTS)
 @pytest.mark.sampled
 def test_page_agrees_with_connection_and_phase(name: str) -> None:
