@@ -77,6 +77,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     worker = getattr(session.config, "workerinput", {})
     if not worker or session.config.args != session.config.getini("testpaths"):
         return
+    gc.disable()  # until the collection has ended: it frees next to nothing
     paths = sorted(Path(__file__).parent.rglob("test_*.py"))
     sys.path[:0] = sorted({str(path.parent) for path in paths} - {*sys.path})
     for path in paths[int(worker["workerid"][2:]) :: worker["workercount"]]:
@@ -107,6 +108,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     The processes of a long run share the compilation of the integrators.
     """
     gc.freeze()
+    gc.enable()
     run = getattr(session.config, "workerinput", {}).get("testrunuid", "")
     if run and len(session.items) > _MANY:
         compile_ahead(Path(gettempdir()) / f"pinred-{run}")

@@ -55,8 +55,6 @@ def assert_all_folded_shapes(equilibria: pinred.Equilibria, m: int) -> None:
         assert min(float(d.max()) for d in difference) < 1e-9, folds
 
 
-# Chains of fewer bodies run by default.
-@pytest.mark.by_hand("0-68")
 @pytest.mark.parametrize(
     ("seed", "count"), [(0, 68), pytest.param(2, 66, marks=pytest.mark.by_hand)]
 )

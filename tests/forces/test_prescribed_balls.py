@@ -158,9 +158,9 @@ def test_members_and_flows_vary_parameters_of_attitudes() -> None:
     rate = Parameter("rate", 1.3)
     system = joined_bodies()
     # A spline's values may contain Parameters.
-    plan = Attitude([Spline([0.0, 0.1, 0.2], [0.0, rate, 0.4]), "0.5*t", 0.2])
+    plan = Attitude([Spline([0.0, 0.3, 0.6], [0.0, rate, 0.4]), "0.5*t", 0.2])
     scene = pinred.Scene(
-        system=system, xi0=np.full(6, 0.2), prescribed={"joint": plan}, times=[0.0, 0.2],
+        system=system, xi0=np.full(6, 0.2), prescribed={"joint": plan}, times=[0.0, 0.6],
         rtol=1e-11, atol=1e-12,
     )  # fmt: skip
     values = np.array([1.0, 1.3])
