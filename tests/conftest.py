@@ -5,9 +5,12 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 import threading
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from tempfile import gettempdir
 from zlib import crc32
@@ -65,16 +68,34 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Let each process of a run of all tests import, and so cache, another share of the files.
+
+    Pytest rewrites the assertions of a file before it compiles it, which takes longer than to
+    import it. The other processes find the result.
+    """
+    worker = getattr(session.config, "workerinput", {})
+    if not worker or session.config.args != session.config.getini("testpaths"):
+        return
+    gc.disable()  # until the collection has ended: it frees next to nothing
+    paths = sorted(Path(__file__).parent.rglob("test_*.py"))
+    sys.path[:0] = sorted({str(path.parent) for path in paths} - {*sys.path})
+    for path in paths[int(worker["workerid"][2:]) :: worker["workercount"]]:
+        # The collection imports, and reports, what fails here.
+        with suppress(Exception, pytest.skip.Exception):
+            import_module(path.stem)
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark tests that open pages as slow, and deselect tests that were not requested."""
     for item in items:
-        if item.get_closest_marker("browser") or item.get_closest_marker("by_hand"):
+        if item.get_closest_marker("browser") or _is_by_hand(item):
             item.add_marker(pytest.mark.slow)
     examples = config.getoption("--examples")
     selected = [item for item in items if not examples or _set_examples(item, examples)]
     if not config.getoption("--by-hand"):
-        selected = [item for item in selected if not item.get_closest_marker("by_hand")]
-        selected = _sampled_cases(selected)
+        selected = _sampled_cases([item for item in selected if not _is_by_hand(item, "")])
+        selected = [item for item in selected if not _is_by_hand(item)]
     kept = set(selected)
     config.hook.pytest_deselected(items=[item for item in items if item not in kept])
     items[:] = selected
@@ -87,9 +108,16 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     The processes of a long run share the compilation of the integrators.
     """
     gc.freeze()
+    gc.enable()
     run = getattr(session.config, "workerinput", {}).get("testrunuid", "")
     if run and len(session.items) > _MANY:
         compile_ahead(Path(gettempdir()) / f"pinred-{run}")
+
+
+def _is_by_hand(item: pytest.Item, case: str | None = None) -> bool:
+    """Return whether a marker `by_hand` names no cases, or names a case: by default the item's."""
+    case = item.nodeid.partition("[")[2].removesuffix("]") if case is None else case
+    return any(not mark.args or case in mark.args for mark in item.iter_markers("by_hand"))
 
 
 def _sampled_cases(items: list[pytest.Item]) -> list[pytest.Item]:

@@ -99,7 +99,11 @@ WRITTEN = [
     *(DOCS / f"{name}.md" for name in ("start", "api", "comparison", "dynamics", "feel")),
 ]
 PAGES = [ROOT / "README.md", *site_pages.sources()]
-LONG = ("land_within_limits", "short_examples", "turn_base")
+# `--by-hand` executes their code; every run looks up the names in it.
+LONG = (
+    *("dynamics", "land_within_limits", "legged_robots", "short_examples", "space_robots"),
+    "turn_base",
+)
 
 
 @pytest.mark.slow

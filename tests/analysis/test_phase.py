@@ -53,6 +53,8 @@ def test_turn_of_propeller_rotates_elroys_beanie(gait: pinred.Gait) -> None:
     close(pinred.phase(A, gait, mu).pose, [turn + mu * T / (I1 + I2)], 1e-14)
 
 
+# A gait of two cranks, in test_dead_points.py, winds, too.
+@pytest.mark.by_hand
 def test_phase_of_winding_gait_agrees_with_pinocchio() -> None:
     """Two hinges of three rods turn in opposite senses and wobble; with momentum, too."""
     system = pinred.load("three_rods")

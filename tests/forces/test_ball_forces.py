@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 import pytest
-from ball_trees import ball_tree, joined_bodies
-from scipy.special import ellipk
-
 import pinred
+from typing import Any
+from ball_trees import ball_tree
+from ball_trees import joined_bodies
+from scipy.special import ellipk
 from pinred import InputError
 from pinred.common.arrays import Array
-from pinred.forces import PD, BallLimit, BallPD, BallSpring, Damper, Force, PotentialEnergy
+from pinred.forces import PD
+from pinred.forces import BallLimit
+from pinred.forces import BallPD
+from pinred.forces import BallSpring
+from pinred.forces import Damper
+from pinred.forces import Force
+from pinred.forces import PotentialEnergy
 from pinred.forces.force_model import ForceModel
 from pinred.forces.force_numbers import ForceInputs
-from pinred.lie.rotations import quaternion_exp, rotation
+from pinred.lie.rotations import quaternion_exp
+from pinred.lie.rotations import rotation
 from pinred.signals import Attitude
 from pinred.system.system import System
 
@@ -91,6 +97,8 @@ def test_pd_follows_moving_attitude_and_its_rate() -> None:
     np.testing.assert_allclose(model.acting(at).torque, expected, atol=1e-14)
 
 
+# test_ball_tracking.py has PD along a plan.
+@pytest.mark.by_hand
 def test_pd_keeps_ball_on_moving_attitude() -> None:
     """A ball that starts on the target stays near it; compare agrees."""
     target = Attitude(["0.5*sin(2*t)", "0.2*t", 0.0], REST)

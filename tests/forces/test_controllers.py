@@ -79,6 +79,8 @@ def closed_form(error: float, rate: float, kp: float, kd: float, t: Array) -> Ar
     return np.asarray((A * np.exp(a * t) + (error - A) * np.exp(b * t)).real)
 
 
+# Both engines run by default on other groups.
+@pytest.mark.by_hand("R-compiled")
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("group", GROUPS)

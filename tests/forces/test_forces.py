@@ -133,6 +133,8 @@ def test_wrench_on_random_trees_equals_aba(group: str, seed: int) -> None:
         np.testing.assert_allclose(shape.x, traj.x, atol=1e-6)
 
 
+# RxSE2 has the same factor.
+@pytest.mark.by_hand("SE2")
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.sampled
 def test_wrench_from_tables_equals_aba(group: str) -> None:

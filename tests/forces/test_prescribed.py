@@ -62,6 +62,8 @@ def drives(traj: pinred.Trajectory, driven: list[int], tau: Array, t: int) -> Ar
     return np.asarray(full[traj.system.r + np.array(driven)])
 
 
+# Each subset and each group occurs in the other cases.
+@pytest.mark.by_hand("driven1-SO3")
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize(
     "driven",

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from ball_trees import ball_tree, joined_bodies
-
 import pinred
-from pinred import InputError, Parameter
+from typing import Any
+from ball_trees import ball_tree
+from ball_trees import joined_bodies
+from pinred import InputError
+from pinred import Parameter
 from pinred.common.arrays import Array
-from pinred.forces import BallSpring, Damper
-from pinred.lie.rotations import quaternion_exp, rotation, unwrapped_rotation_vectors
-from pinred.signals import Attitude, Fourier, Hold, Linear, Spline
+from pinred.forces import BallSpring
+from pinred.forces import Damper
+from pinred.lie.rotations import quaternion_exp
+from pinred.lie.rotations import rotation
+from pinred.lie.rotations import unwrapped_rotation_vectors
+from pinred.signals import Attitude
+from pinred.signals import Fourier
+from pinred.signals import Hold
+from pinred.signals import Linear
+from pinred.signals import Spline
 from pinred.system.system import System
 
 CENTRE = (0.1, -0.5, 0.3)
@@ -54,6 +61,8 @@ def test_attitude_has_rate_and_acceleration_of_right_jacobian(t: float) -> None:
     np.testing.assert_allclose(alpha, change / h, atol=1e-11 * scale**2)
 
 
+# The compiled engine has the same torques.
+@pytest.mark.by_hand("pinocchio-auto")
 @pytest.mark.parametrize(
     ("engine", "method"),
     [("compiled", "auto"), ("compiled", "Gauss(0.02, 8)"), ("pinocchio", "auto")],

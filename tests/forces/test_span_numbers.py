@@ -5,26 +5,29 @@ from __future__ import annotations
 import cProfile
 import pstats
 import tracemalloc
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
-
 import pinred
+from pathlib import Path
+from typing import Any
+from scipy.interpolate import CubicSpline
 from pinred import Parameter
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError
-from pinred.forces import Limit, Torque
+from pinred.forces import Limit
+from pinred.forces import Torque
 from pinred.forces.force_model import ForceModel
 from pinred.forces.force_numbers import Tables
 from pinred.forces.signals import signal
 from pinred.judge.full_dynamics import FullDynamics
-from pinred.scene.scene import ENGINES, Engine
-from pinred.signals import Hold, Linear, Spline
+from pinred.scene.scene import ENGINES
+from pinred.scene.scene import Engine
+from pinred.signals import Hold
+from pinred.signals import Linear
+from pinred.signals import Spline
 from pinred.simulation.members import integrate_members
-from pinred.simulation.step_limits import limits_of_runs, step_limits
+from pinred.simulation.step_limits import limits_of_runs
+from pinred.simulation.step_limits import step_limits
 
 CAT = pinred.load("falling_cat")
 DRIVEN, PUSHED = CAT.shape_names[0], CAT.shape_names[2]
@@ -58,6 +61,8 @@ def model_of(scene: pinred.Scene) -> ForceModel:
     return model
 
 
+# Each kind of spline runs in the compiled engine, and one in both.
+@pytest.mark.by_hand("clamped-pinocchio", "natural-pinocchio", "not-a-knot-pinocchio")
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("end", signal.ENDS)
 def test_driven_joint_follows_spline_of_scipy(engine: Engine, end: Any) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -72,12 +72,21 @@ def list_imports() -> list[Import]:
     return imports
 
 
+def statements_of(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield a node and all statements in it; expressions, which contain none, are not visited."""
+    yield node
+    for field in ("body", "orelse", "finalbody", "handlers", "cases"):
+        inner = getattr(node, field, ())
+        for child in inner if isinstance(inner, list) else ():
+            yield from statements_of(child)
+
+
 @cache
 def _imported_names(file: Path, name: str, *, is_package: bool) -> tuple[tuple[int, str], ...]:
     """Return the line and the full name of everything that a file imports."""
     containing = name.split(".") if is_package else name.split(".")[:-1]
     imported: list[tuple[int, str]] = []
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in statements_of(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             imported += ((node.lineno, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

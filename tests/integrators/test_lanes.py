@@ -216,7 +216,7 @@ def test_lanes_follow_constant_rotation_at_all_report_times() -> None:
     params[:, 1] = np.linspace(-2.0, 2.0, count)
     times = np.linspace(0.0, 1.0, 23)[None] * ends[:, None]
     found = integrate_in_lanes(
-        Kutta(1e-9, 1e-11), jump_kernel(8).address, 8, params, y0, ends, times, (3, 1), 2
+        Tsit5(1e-9, 1e-11), jump_kernel(8).address, 8, params, y0, ends, times, (3, 1), 2
     )
     np.testing.assert_allclose(found.y[..., 2], times, atol=1e-13)
     for member in range(count):

@@ -26,13 +26,13 @@ print(out.tolist(), "numba" in sys.modules)
 """
 
 
-@pytest.fixture
-def install(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def install(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a copy of the package in which Python cannot write, even for root.
 
     Permissions do not stop root, but files in place of the cache folders stop everybody.
     """
-    source = Path(pinred.__file__).parent
+    source, tmp_path = Path(pinred.__file__).parent, tmp_path_factory.mktemp("installation")
     unwanted = ignore_patterns("__pycache__", "shipped")  # without bitcode, so that it compiles
     copytree(source, tmp_path / "site/pinred", ignore=unwanted)
     for folder in [tmp_path / "site/pinred", *(tmp_path / "site/pinred").rglob("*/")]:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from tampering import offset, tampered
-from trees import random_model
-
 import pinred
-from pinred.judge.reference_solution import FullMotion, FullState
+from dataclasses import replace
+from tampering import offset
+from tampering import tampered
+from trees import random_model
+from pinred.judge.reference_solution import FullMotion
+from pinred.judge.reference_solution import FullState
 from pinred.lie import GROUPS
-from pinred.system.robot_files import bundled_robots, has_example_robots
+from pinred.system.robot_files import bundled_robots
+from pinred.system.robot_files import has_example_robots
 
 EXAMPLES = {"solo12": 2.0, "ur5": 3.0, "talos": 0.5}
 
@@ -136,6 +137,16 @@ def test_compare_fails_for_constant_energy_offset() -> None:
     assert not pinred.compare(tampered(traj, lifted)).passed
 
 
+def test_scene_that_reports_only_its_start_is_compared_to_its_end() -> None:
+    """The comparison has times of its own there."""
+    traj = pinred.simulate(pinred.load("rigid_body"), seed=1, duration=0.5, times=[0.0])
+    report = pinred.compare(traj)
+    assert report.t[-1] == 0.5
+    assert report.verdict == "PASSED"
+
+
+# The previous test reports only the start, and test_bounds_of_compare.py has a chaotic motion.
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_compare_of_chaotic_motion_cannot_tell() -> None:
     """A scene that reports only its start is compared until errors cannot be judged."""

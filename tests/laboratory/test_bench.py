@@ -3,33 +3,30 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
-from pathlib import Path
-from types import SimpleNamespace
-
 import numpy as np
 import pinocchio as pin
 import pytest
-from commands import python
-
 import pinred
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from commands import python
 from pinred.cli.main import main
 from pinred.common.errors import InputError
-from pinred.laboratory.bench import (
-    Table,
-    bench_derivatives,
-    bench_forces,
-    bench_many,
-    bench_scaling,
-    bench_threads,
-    call_timing,
-    kernel_timing,
-    method_comparison,
-    timing,
-)
+from pinred.laboratory.bench import Table
+from pinred.laboratory.bench import bench_derivatives
+from pinred.laboratory.bench import bench_forces
+from pinred.laboratory.bench import bench_many
+from pinred.laboratory.bench import bench_scaling
+from pinred.laboratory.bench import bench_threads
+from pinred.laboratory.bench import call_timing
+from pinred.laboratory.bench import kernel_timing
+from pinred.laboratory.bench import method_comparison
+from pinred.laboratory.bench import timing
 from pinred.laboratory.bench.call_timing import BATCH_SOLVERS
 from pinred.laboratory.bench.kernel_timing import scaling_table
-from pinred.laboratory.bench.method_comparison import CANDIDATES, choice_of
+from pinred.laboratory.bench.method_comparison import CANDIDATES
+from pinred.laboratory.bench.method_comparison import choice_of
 from pinred.laboratory.bench.problems import chain
 
 pytestmark = pytest.mark.slow
@@ -105,9 +102,11 @@ def test_chain_inertia_in_closed_form() -> None:
 
 
 def test_bench_forces_counts_integrated_states(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """A torque adds no state; a wrench adds momentum, a path, and time if needed."""
+    monkeypatch.setattr(kernel_timing, "_MANY", 2)
+    monkeypatch.setattr(kernel_timing, "_SHORT", 1e-5)
     (result,) = bench_forces(["planar_chain5"])
     assert result.integrated == "11, 11, 16, 17"
     assert min(result.torque, result.wrench, result.full) > 0.0

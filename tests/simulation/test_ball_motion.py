@@ -112,6 +112,8 @@ def test_invalid_attitude_is_refused(option: str, value: Any, message: str) -> N
         pinred.Scene(system=joined_bodies(), **{option: value})
 
 
+# The other case has no momentum, and other tests have momentum.
+@pytest.mark.by_hand("2.0-AdaptiveGauss")
 @pytest.mark.parametrize("method", ["DOP853", "AdaptiveGauss"])
 @pytest.mark.parametrize("stiffness", [0.0, 2.0])
 @pytest.mark.sampled

@@ -216,6 +216,8 @@ def test_resumed_thinned_run_has_the_same_bits(
     check_equal(whole, other)
 
 
+# Thinned runs and runs with followers are tested one by one.
+@pytest.mark.by_hand
 def test_resumed_thinned_run_with_followers_has_the_same_bits(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

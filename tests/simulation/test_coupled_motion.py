@@ -308,6 +308,8 @@ def test_joined_limbs_beside_couplings_agree_with_aba(seed: int) -> None:
     np.testing.assert_allclose(a.q, b.q, atol=1e-9)
 
 
+# Case 1 has couplings inside branches and across them.
+@pytest.mark.by_hand("3")
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.sampled

@@ -139,6 +139,8 @@ def force_switched_at_rest(t: Any, *_: Any) -> Any:
     return [ca.if_else(t < SWITCH, -PUSH, -2.0 * PUSH) + 2.0 * t]
 
 
+# A switch at rest contains a switch in motion.
+@pytest.mark.by_hand("switched_force-inputs1-0.0")
 @pytest.mark.parametrize(
     ("force", "inputs", "restitution"),
     [
@@ -185,6 +187,8 @@ def cat_run() -> dict[str, Any]:
     return {"xdot0": [2.0, -1.0, 0.5], "duration": 0.8, "stops": stops, "forces": forces}
 
 
+# `test_rest_and_release_agree_with_full_state_differences` differentiates the same motion.
+@pytest.mark.by_hand
 def test_joints_at_rest_together_agree_with_differences() -> None:
     """An impact presses a joint at rest against its stop, or moves it away."""
     cat = pinred.load("falling_cat")
@@ -249,6 +253,8 @@ def test_many_random_trees_agree_with_differences(seed: int) -> None:
     assert_tree(seed)
 
 
+# The random tree of the default suite has stops at followers, too.
+@pytest.mark.by_hand
 def test_stop_of_a_follower_agrees_with_differences() -> None:
     """Its position, divided by the ratio, bounds the leader."""
     system = make_case("SE2", 4, 2).system
@@ -280,6 +286,8 @@ def test_tree_with_balls_agrees_with_differences() -> None:
     assert len(traj.impacts) >= 1
 
 
+# Impulses do not contain gravity; its derivatives are tested without stops.
+@pytest.mark.by_hand
 def test_gravity_at_a_pivot_agrees_with_differences() -> None:
     """A chain on a pivot under gravity, whose strength is an input."""
     model = random_model("SO3", 2, 5)
@@ -395,6 +403,8 @@ def test_adapters_agree_with_the_flow() -> None:
     np.testing.assert_allclose(gradient(*at).full(), expected[0], rtol=1e-10, atol=1e-12)
 
 
+# Both adapters are tested with other flows, and this flow with the adapter of SciPy.
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_jax_and_torch_agree_with_the_flow() -> None:
     """Gradients by JAX and PyTorch are those of the flow."""

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
-from loop_robots import four_bar
-
 import pinred
+from typing import Any
+from loop_robots import four_bar
 from pinred.common.arrays import Array
 from pinred.integrators.integrate import integrate
 from pinred.integrators.methods import Method
-from pinred.kernels import build, pinocchio_terms
+from pinred.kernels import build
+from pinred.kernels import pinocchio_terms
 from pinred.reduction.pointwise_reduction import mass_matrix
 from pinred.reduction.tree import loop_constraints
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
-from pinred.system.loops.kinematics import loop_jacobian, loop_values
+from pinred.system.loops.kinematics import loop_jacobian
+from pinred.system.loops.kinematics import loop_values
 
 # Centrifugal forces load the loop steadily as the crank turns.
 START: dict[str, Any] = {
@@ -47,20 +47,23 @@ def run(method: Method, duration: float) -> tuple[pinred.Trajectory, Array]:
     return traj, nu
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize(
-    ("method", "gap", "energy"),
-    [(pinred.DOP853(1e-10, 1e-12), 3e-8, 3e-7), (pinred.Gauss(0.005, 6), 1e-7, 5e-8)],
+    ("method", "gap", "energy", "end"),
+    [
+        (pinred.DOP853(1e-10, 1e-12), 3e-8, 3e-7, 200.0),
+        pytest.param(pinred.DOP853(1e-10, 1e-12), 3e-8, 3e-7, 1000.0, marks=pytest.mark.by_hand),
+        pytest.param(pinred.Gauss(0.005, 6), 1e-7, 5e-8, 1000.0, marks=pytest.mark.by_hand),
+    ],
 )
-def test_multipliers_momentum_and_energy_stay_bounded_over_1000_seconds(
-    method: Method, gap: float, energy: float
+def test_multipliers_momentum_and_energy_stay_bounded(
+    method: Method, gap: float, energy: float, end: float
 ) -> None:
     """The number of steps per second does not grow either."""
     short, early = run(method, 10.0)
-    traj, nu = run(method, 1000.0)
+    traj, nu = run(method, end)
     assert early.max() > 5.0
     assert nu.max() < 1.2 * early.max()
-    assert traj.run.steps < 105 * short.run.steps
+    assert traj.run.steps < 0.105 * end * short.run.steps
     assert max(np.abs(loop_values(traj.system, x)).max() for x in traj.x) < gap
     J = traj.spatial_momentum
     assert np.abs(J - J[0]).max() < 1e-12 * np.abs(J).max()

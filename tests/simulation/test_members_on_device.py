@@ -5,26 +5,24 @@ from __future__ import annotations
 import inspect
 import re
 import sys
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pytest
-from host_cuda_driver import host_driver
-
 import pinred
-from pinred.common.errors import (
-    DeviceError,
-    InputError,
-    MissingPackageError,
-    UnsupportedOperationError,
-)
+from typing import Any
+from host_cuda_driver import host_driver
+from pinred.common.errors import DeviceError
+from pinred.common.errors import InputError
+from pinred.common.errors import MissingPackageError
+from pinred.common.errors import UnsupportedOperationError
 from pinred.forces.kinds import Torque
 from pinred.forces.signals.signal import Hold
-from pinred.integrators.methods import DOP853, Explicit, Tsit5
-from pinred.kernels.device import cuda_driver, device_code
+from pinred.integrators.methods import DOP853
+from pinred.integrators.methods import Explicit
+from pinred.integrators.methods import Tsit5
+from pinred.kernels.device import cuda_driver
+from pinred.kernels.device import device_code
 from pinred.system.system import System
-
 
 @pytest.fixture(scope="module")
 def cat() -> System:
@@ -73,6 +71,8 @@ def test_members_in_device_threads_agree_with_members_in_lanes(
         assert (np.abs(values - expected).max(axis=(1, 2)) <= bound).all()
 
 
+# Whether time is an input of the outputs is tested in test_member_outputs.py.
+@pytest.mark.by_hand("time is an input")
 @pytest.mark.parametrize("forces", [False, True], ids=["time is an input", "time is a state"])
 def test_states_are_computed_on_the_device(
     cat: System, monkeypatch: pytest.MonkeyPatch, *, forces: bool

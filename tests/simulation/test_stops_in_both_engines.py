@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
+import pinred
+from pathlib import Path
+from typing import Any
 from ball_trees import joined_bodies
 from coupled_trees import make_case
 from loop_robots import five_bar
 from trees import random_model
-
-import pinred
 from pinred.cli.main import main
 from pinred.common.arrays import Array
-from pinred.forces import PD, Controller, Torque, Wrench
+from pinred.forces import PD
+from pinred.forces import Controller
+from pinred.forces import Torque
+from pinred.forces import Wrench
 from pinred.forces.signals.signal import Expression
 from pinred.judge.verdict import Verdict
 from pinred.scene.scene import Engine
 from pinred.simulation import run_with_stops
 from pinred.simulation.impacts import ImpactTable
-from pinred.simulation.pinocchio_engine import DEGREE, PinocchioFlow, integrator
+from pinred.simulation.pinocchio_engine import DEGREE
+from pinred.simulation.pinocchio_engine import PinocchioFlow
+from pinred.simulation.pinocchio_engine import integrator
 from pinred.simulation.plan import plan_of
 from pinred.system.force_interface import SeenState
 
@@ -148,6 +151,8 @@ CASES = {
 CONTAINED = {"plastic", "PD", "spline"}
 
 
+# Other tests have controllers with stops, and gravity in both engines.
+@pytest.mark.by_hand("controller", "gravity")
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=pytest.mark.by_hand) if n in CONTAINED else n for n in CASES]
 )
@@ -176,6 +181,8 @@ def test_both_engines_find_the_same_impacts_and_modes(name: str) -> None:
     )
 
 
+# The previous test compares this motion with the other engine.
+@pytest.mark.by_hand("rest and release")
 @pytest.mark.parametrize(
     "name", [pytest.param("bouncing", marks=pytest.mark.by_hand), "follower", "rest and release"]
 )
@@ -212,6 +219,8 @@ def spatial_momentum(q: Array, v: Array) -> Array:
     return h
 
 
+# Case "spline and rest" above compares this motion with the other engine.
+@pytest.mark.by_hand("pinocchio-0.0")
 @pytest.mark.parametrize(
     ("engine", "restitution"),
     [

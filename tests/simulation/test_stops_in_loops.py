@@ -46,6 +46,8 @@ def test_impacts_in_a_loop_pass_the_comparison() -> None:
     assert report.verdict is Verdict.PASSED, report
 
 
+# Other tests of this file have rests, releases and impacts, in a loop, one by one.
+@pytest.mark.by_hand
 def test_rest_and_release_in_a_loop_pass_the_comparison() -> None:
     """Joints rest one at a time and together, and are released by impacts of others."""
     traj = five_bar_motion(0.0, [PRESS], **COARSE)

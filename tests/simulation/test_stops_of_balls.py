@@ -183,6 +183,8 @@ def rotation(axis: Array, angle: float) -> Array:
     return np.array(pin.exp3(axis * angle))
 
 
+# `test_stops_in_both_engines.py` compares a ball's motion in both engines.
+@pytest.mark.by_hand("pinocchio")
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
 def test_precession_on_a_cone_has_the_closed_form(engine: Any) -> None:
     """A sphere and a symmetric body turn about their momentum J, and each about its own axis.

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-
 import pinred
-from pinred.forces import PD, ComputedTorque, Controller, Torque
+from typing import Any
+from pinred.forces import PD
+from pinred.forces import ComputedTorque
+from pinred.forces import Controller
+from pinred.forces import Torque
 from pinred.forces.signals.signal import Expression
 from pinred.judge.verdict import Verdict
 from pinred.system.force_interface import SeenState
@@ -35,6 +36,8 @@ def controlled(force: Any, **options: Any) -> pinred.Trajectory:
     )  # fmt: skip
 
 
+# `test_stops_of_balls.py` presses a ball against its stop by computed torque.
+@pytest.mark.by_hand("computed torque")
 @pytest.mark.parametrize(
     "force",
     [

@@ -139,6 +139,8 @@ def satellite(gravity: float = 0.0, group: Any = None) -> System:
     return System(model, name="satellite")
 
 
+# The other case has the same robot, with forces.
+@pytest.mark.by_hand("free")
 @pytest.mark.parametrize("case", ["free", "pivot in gravity", "wrench and torque"])
 @pytest.mark.sampled
 def test_motion_equals_that_of_ordinary_balls(

@@ -107,6 +107,8 @@ def runs_of(
         yield pinred.simulate(case.scene, parameters=case.parameters, **options)
 
 
+# The limits of steps depend on no method; `test_bursts_are_resolved` has these methods.
+@pytest.mark.by_hand("auto", "Radau")
 @pytest.mark.parametrize("method", METHODS)
 def test_ordinary_torques_cost_no_evaluations(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Limits of steps add at most 3 % to the evaluations of 18 scenes."""

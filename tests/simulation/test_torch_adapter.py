@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import Any
 
+import lazy_loader
 import numpy as np
 import pytest
 from perturbed_cat import AT, BATCH, flow_of
@@ -12,7 +14,7 @@ from twelve_gains import OTHER, OWN, assert_same_bits, flow_pair
 from pinred import InputError, ShapeError
 from pinred.simulation.flow_map.flow_columns import Columns
 
-torch: Any = pytest.importorskip("torch")
+torch: Any = lazy_loader.load("torch") if find_spec("torch") else pytest.importorskip("torch")
 pytestmark = [
     pytest.mark.slow,
     # PyTorch warns of its own ways.

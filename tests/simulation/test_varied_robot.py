@@ -150,6 +150,8 @@ def test_names_without_values_use_those_of_the_robot() -> None:
     assert len(scene.parameters) == 4 * 3 + 3
 
 
+# test_varied_scenes.py compares members with other masses, locks and gravity.
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_members_with_robot_parameters_agree_with_simulate() -> None:
     """Placements, masses, locks and gravity differ between members in SIMD lanes."""

@@ -100,6 +100,8 @@ def test_ball_takes_no_more_evaluations_near_the_gimbal_lock() -> None:
     assert evaluations[-1, 0] > 3.0 * evaluations[-1, 1]
 
 
+# The previous test has a ball in place of three hinges in a smaller file.
+@pytest.mark.by_hand
 def test_human_has_six_balls_and_no_singular_shapes() -> None:
     """The gimbal locks of its hinges are singular shapes, which the balls do not have."""
     pytest.importorskip("example_robot_data")

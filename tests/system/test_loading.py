@@ -5,23 +5,36 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from pathlib import Path
-
 import numpy as np
 import pinocchio as pin
 import pytest
+import pinred
+from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
-from robot_texts import FLOATING, HINGE, MASS, body, joint, link, mjcf, robot, write
-from strategies import Case, cases, groups, make_case, seeds
-from trees import inertia, random_model
-
-import pinred
+from robot_texts import FLOATING
+from robot_texts import HINGE
+from robot_texts import MASS
+from robot_texts import body
+from robot_texts import joint
+from robot_texts import link
+from robot_texts import mjcf
+from robot_texts import robot
+from robot_texts import write
+from strategies import Case
+from strategies import cases
+from strategies import groups
+from strategies import make_case
+from strategies import seeds
+from trees import inertia
+from trees import random_model
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 from pinred.system.joints import root_joint
-from pinred.system.loops.kinematics import loop_jacobian, loop_values
-from pinred.system.robot_files import bundled_robots, has_example_robots
+from pinred.system.loops.kinematics import loop_jacobian
+from pinred.system.loops.kinematics import loop_values
+from pinred.system.robot_files import bundled_robots
+from pinred.system.robot_files import has_example_robots
 
 needs_robots = pytest.mark.skipif(
     not has_example_robots(), reason="example-robot-data is not installed"
@@ -257,6 +270,8 @@ def test_lock_model_without_joint_frames() -> None:
     assert done.returncode == 0, done.stderr
 
 
+# The other quadruped runs by default.
+@pytest.mark.by_hand("anymal_c")
 @needs_robots
 @pytest.mark.parametrize("name", ["solo12", "talos", "anymal_c"])
 @pytest.mark.sampled

@@ -354,6 +354,8 @@ def four_bar(kind: str, *extra: str) -> str:
 PLACE = "<pose>0.05 0 0.1 0 0.3 0</pose>"
 
 
+# The other cases are a ball and a fixed joint; loop kinds of axes are tested with other files.
+@pytest.mark.by_hand("revolute-z-1")
 @pytest.mark.parametrize(
     ("kind", "loop", "free"), [("revolute", "z", 1), ("ball", "3d", 1), ("fixed", "6d", 0)]
 )

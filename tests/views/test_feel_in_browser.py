@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from headless_browser import Browser
-
 import pinred
+from pathlib import Path
+from headless_browser import Browser
 from pinred.cli.main import main
 from pinred.common.arrays import Array
 from pinred.system.loops.kinematics import loop_values
@@ -16,9 +14,9 @@ from pinred.system.loops.kinematics import loop_values
 pytestmark = pytest.mark.browser
 
 
-def show(screen: Browser, path: Path, width: int = 900) -> None:
-    """Open a page and wait until it is drawn."""
-    screen.open(path.as_uri(), width=width, height=640)
+def show(screen: Browser, path: Path, width: int = 900, height: int = 640) -> None:
+    """Open a page and wait until it is drawn, which takes long in large windows."""
+    screen.open(path.as_uri(), width=width, height=height)
     screen.wait_for("window.pinred !== undefined")
 
 
@@ -59,7 +57,7 @@ def test_controls_have_names_for_screen_readers(screen: Browser, tmp_path: Path)
     """Each slider has the name of its joint, and its value with the unit; no control has none."""
     path = tmp_path / "cat.html"
     pinred.save_html(pinred.load("falling_cat"), path, feel=True)
-    show(screen, path)
+    show(screen, path, 640, 480)
     nodes = screen.call("Accessibility.getFullAXTree")["nodes"]
     roles = ("slider", "combobox", "button", "checkbox")
     controls = [node for node in nodes if node["role"]["value"] in roles]
@@ -75,7 +73,7 @@ def test_mouse_and_keyboard_move_the_robot(screen: Browser, tmp_path: Path) -> N
     path = tmp_path / "cat.html"
     assert main(["feel", "falling_cat", "--out", str(path)]) == 0
     assert path.stat().st_size < 1.9e6
-    show(screen, path)
+    show(screen, path, 640, 480)
     # A slider by keyboard, there and back: the base turns, and turns back.
     screen.run("document.querySelector('#sliders input').focus()")
     press(screen, "ArrowRight", 10)

@@ -5,23 +5,19 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 import pytest
-
 import pinred
+from typing import Any
 from pinred.common.arrays import Array
 from pinred.system.joints import axes_of
 from pinred.system.loops.kinematics import loop_values
-from pinred.views.feel.feel_page import (
-    feel_graphs,
-    feel_page,
-    felt_robot,
-    loop_numbers,
-    to_javascript,
-)
+from pinred.views.feel.feel_page import feel_graphs
+from pinred.views.feel.feel_page import feel_page
+from pinred.views.feel.feel_page import felt_robot
+from pinred.views.feel.feel_page import loop_numbers
+from pinred.views.feel.feel_page import to_javascript
 from pinred.views.playback.page import resource
 
 NODE = shutil.which("node")
@@ -100,6 +96,8 @@ def distance(connection: pinred.Connection, pose: Array, placement: list[float])
     return float(np.linalg.norm(pin.log6(place.actInv(pin.XYZQUATToSE3(np.array(placement))))))
 
 
+# Another planar robot runs by default.
+@pytest.mark.by_hand("three_rods")
 @pytest.mark.parametrize("name", ROBOTS)
 @pytest.mark.sampled
 def test_page_agrees_with_connection_and_phase(name: str) -> None:

@@ -40,6 +40,8 @@ def assert_same_bodies(one: Bodies, other: Bodies) -> None:
         np.testing.assert_array_equal(mesh.faces, same.faces)
 
 
+# The other case has frozen joints.
+@pytest.mark.by_hand("lock0")
 @needs_robots
 @pytest.mark.parametrize("lock", [(), {"FL_HFE": 0.7, "HR_KFE": -0.4}])
 def test_wrapper_equals_robot_by_name(lock: Any) -> None:
@@ -63,6 +65,8 @@ def test_wrapper_equals_robot_by_name(lock: Any) -> None:
         assert_same_bodies(drawn, drawn_bodies(named))
 
 
+# The previous test compares all meshes of the wrapper.
+@pytest.mark.by_hand
 @needs_robots
 def test_page_of_wrapper_contains_meshes(tmp_path: Path) -> None:
     """As many as the page of the robot by name, without a remark on inertias."""

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+import numpy as np
+import pinocchio as pin
+import pytest
+import pinred
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-import pinocchio as pin
-import pytest
 from commands import python
-from figures import beanie, drawn, units
+from figures import beanie
+from figures import drawn
+from figures import units
 from matplotlib.text import Text
 from pictures import measured
-
-import pinred
 from pinred import plots
-from pinred.laboratory.bench.work_precision import Point, WorkPrecision
-
+from pinred.laboratory.bench.work_precision import Point
+from pinred.laboratory.bench.work_precision import WorkPrecision
 
 @pytest.fixture(scope="module")
 def cat() -> pinred.Trajectory:
@@ -257,7 +257,7 @@ def test_names_are_not_parsed_as_formulas(tmp_path: Path) -> None:
     traj = pinred.simulate(pinred.load(path, gravity=(0, 0, 0)), seed=0, duration=0.1)
     for category in ("shape", "phase", "curvature", "sphere"):
         figure = pinred.plot(traj, category)
-        figure.savefig(BytesIO())
+        figure.savefig(BytesIO(), dpi=20)
     legend = plots.shape(traj).axes[0].get_legend()
     assert legend is not None
     assert [entry.get_text().strip() for entry in legend.get_texts()] == ["_$^", "b$^"]

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-
 import pinred
+from pathlib import Path
 from pinred import plots
 from pinred.common.arrays import Array
 from pinred.lie.rotations import quaternion_exp
@@ -79,6 +77,8 @@ def test_rates_of_rotation_vectors_equal_differences() -> None:
     np.testing.assert_allclose(space.chart_rate(w, sigma), expected, atol=1e-9)
 
 
+# test_phase_commands.py draws loops of balls about a centre.
+@pytest.mark.by_hand
 def test_coordinates_about_a_centre_are_rotation_vectors_from_it() -> None:
     """A plan of balls is drawn in the coordinates of its gait, which begin at zero."""
     system = pinred.load("falling_cat_ball")
