@@ -4,25 +4,22 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from typing import Any
 from coupled_trees import make_case
-from forced_trees import against_aba
-from forced_trees import tree
+from forced_trees import against_aba, tree
+
+import pinred
 from pinred.common.arrays import Array
-from pinred.forces import SeenState
-from pinred.forces import Torque
-from pinred.forces import Wrench
+from pinred.forces import SeenState, Torque, Wrench
 from pinred.forces.force_model import ForceModel
-from pinred.forces.force_numbers import BaseInSpace
-from pinred.forces.force_numbers import ForceInputs
+from pinred.forces.force_numbers import BaseInSpace, ForceInputs
 from pinred.lie import GROUPS
-from pinred.scene.scene import ENGINES
-from pinred.scene.scene import Engine
+from pinred.scene.scene import ENGINES, Engine
 from pinred.simulation.plan import plan_of
 from pinred.system.joints import axes_of
 

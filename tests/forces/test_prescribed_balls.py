@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
+from ball_trees import ball_tree, joined_bodies
+
 import pinred
-from typing import Any
-from ball_trees import ball_tree
-from ball_trees import joined_bodies
-from pinred import InputError
-from pinred import Parameter
+from pinred import InputError, Parameter
 from pinred.common.arrays import Array
-from pinred.forces import BallSpring
-from pinred.forces import Damper
-from pinred.lie.rotations import quaternion_exp
-from pinred.lie.rotations import rotation
-from pinred.lie.rotations import unwrapped_rotation_vectors
-from pinred.signals import Attitude
-from pinred.signals import Fourier
-from pinred.signals import Hold
-from pinred.signals import Linear
-from pinred.signals import Spline
+from pinred.forces import BallSpring, Damper
+from pinred.lie.rotations import quaternion_exp, rotation, unwrapped_rotation_vectors
+from pinred.signals import Attitude, Fourier, Hold, Linear, Spline
 from pinred.system.system import System
 
 CENTRE = (0.1, -0.5, 0.3)

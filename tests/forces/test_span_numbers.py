@@ -5,29 +5,26 @@ from __future__ import annotations
 import cProfile
 import pstats
 import tracemalloc
-import numpy as np
-import pytest
-import pinred
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import pytest
 from scipy.interpolate import CubicSpline
+
+import pinred
 from pinred import Parameter
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError
-from pinred.forces import Limit
-from pinred.forces import Torque
+from pinred.forces import Limit, Torque
 from pinred.forces.force_model import ForceModel
 from pinred.forces.force_numbers import Tables
 from pinred.forces.signals import signal
 from pinred.judge.full_dynamics import FullDynamics
-from pinred.scene.scene import ENGINES
-from pinred.scene.scene import Engine
-from pinred.signals import Hold
-from pinred.signals import Linear
-from pinred.signals import Spline
+from pinred.scene.scene import ENGINES, Engine
+from pinred.signals import Hold, Linear, Spline
 from pinred.simulation.members import integrate_members
-from pinred.simulation.step_limits import limits_of_runs
-from pinred.simulation.step_limits import step_limits
+from pinred.simulation.step_limits import limits_of_runs, step_limits
 
 CAT = pinred.load("falling_cat")
 DRIVEN, PUSHED = CAT.shape_names[0], CAT.shape_names[2]

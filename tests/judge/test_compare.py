@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-import pinred
-from dataclasses import replace
-from tampering import offset
-from tampering import tampered
+from tampering import offset, tampered
 from trees import random_model
-from pinred.judge.reference_solution import FullMotion
-from pinred.judge.reference_solution import FullState
+
+import pinred
+from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.lie import GROUPS
-from pinred.system.robot_files import bundled_robots
-from pinred.system.robot_files import has_example_robots
+from pinred.system.robot_files import bundled_robots, has_example_robots
 
 EXAMPLES = {"solo12": 2.0, "ur5": 3.0, "talos": 0.5}
 

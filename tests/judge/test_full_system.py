@@ -2,37 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from dataclasses import replace
-from pathlib import Path
 from ball_trees import ball_tree
-from coupled_trees import CoupledCase
-from coupled_trees import coupled_cases
-from coupled_trees import make_case
-from coupled_trees import multipliers
-from hypothesis import given
-from hypothesis import settings
-from loop_robots import five_bar
-from loop_robots import four_bar
-from robot_texts import joint
-from robot_texts import link
-from robot_texts import robot
-from robot_texts import write
+from coupled_trees import CoupledCase, coupled_cases, make_case, multipliers
+from hypothesis import given, settings
+from loop_robots import five_bar, four_bar
+from robot_texts import joint, link, robot, write
 from trees import random_model
+
+import pinred
 from pinred.common.arrays import Array
 from pinred.judge import full_system as module
-from pinred.judge.full_system import Configuration
-from pinred.judge.full_system import CouplingConstraints
-from pinred.judge.full_system import RootMotion
-from pinred.judge.full_system import loop_errors
-from pinred.judge.full_system import root_motion
+from pinred.judge.full_system import (
+    Configuration,
+    CouplingConstraints,
+    RootMotion,
+    loop_errors,
+    root_motion,
+)
 from pinred.judge.reference_solution import FullState
 from pinred.lie import GROUPS
 from pinred.system.loops.kinematics import LoopKinematics
 from pinred.system.state_fields import State
+
 
 def rate_of(root: RootMotion, at: Array, v: Array) -> Array:
     """Return the time derivative of root coordinates as an array."""

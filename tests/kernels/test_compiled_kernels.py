@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from dataclasses import replace
-from pathlib import Path
-from hypothesis import given
-from hypothesis import settings
-from strategies import Case
-from strategies import cases
-from strategies import examples
+from hypothesis import given, settings
+from strategies import Case, cases, examples
 from trees import random_model
+
+import pinred
 from pinred.common.arrays import Array
 from pinred.common.machine_code import NativeCode
 from pinred.common.object_cache import ObjectCache
@@ -22,8 +21,7 @@ from pinred.kernels.kernel import Structure
 from pinred.kernels.validation import validate_kernel
 from pinred.lie import GROUPS
 from pinred.reduction.cyclic_joints import cyclic_joints
-from pinred.simulation.compiled.compiled_flow import CompiledFlow
-from pinred.simulation.compiled.compiled_flow import kernel_of
+from pinred.simulation.compiled.compiled_flow import CompiledFlow, kernel_of
 from pinred.simulation.pinocchio_engine import PinocchioFlow
 from pinred.simulation.plan import plan_of
 from pinred.system.robot_files import bundled_robots

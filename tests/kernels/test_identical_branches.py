@@ -3,41 +3,32 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-from hypothesis import given
-from hypothesis import settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import groups
-from strategies import seeds
-from trees import inertia
-from trees import limbed_model
-from trees import mirrored_model
-from trees import placement
-from trees import unequal_limbs_model
+from strategies import groups, seeds
+from trees import inertia, limbed_model, mirrored_model, placement, unequal_limbs_model
+
+import pinred
 from pinred.common.arrays import Array
 from pinred.common.machine_code import load_object
 from pinred.common.object_cache import ObjectCache
 from pinred.kernels.build import build_kernel
-from pinred.kernels.differentiable import adjoint_in_lanes
-from pinred.kernels.differentiable import tangent_in_lanes
+from pinred.kernels.differentiable import adjoint_in_lanes, tangent_in_lanes
 from pinred.kernels.kernel import Structure
 from pinred.kernels.machine import native
 from pinred.kernels.machine.native import compile_object
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.kernels.reference_state import random_state
-from pinred.reduction.tree.body_frames import bodies_of
-from pinred.reduction.tree.body_frames import cosine
-from pinred.reduction.tree.body_frames import sine
-from pinred.reduction.tree.identical_branches import Lanes
-from pinred.reduction.tree.identical_branches import Mark
-from pinred.reduction.tree.identical_branches import links_of
+from pinred.reduction.tree.body_frames import bodies_of, cosine, sine
+from pinred.reduction.tree.identical_branches import Lanes, Mark, links_of
 from pinred.reduction.tree.scalars import Turn
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.pinocchio_engine import PinocchioFlow

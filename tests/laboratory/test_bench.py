@@ -3,30 +3,33 @@
 from __future__ import annotations
 
 import csv
-import numpy as np
-import pinocchio as pin
-import pytest
-import pinred
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+
+import numpy as np
+import pinocchio as pin
+import pytest
 from commands import python
+
+import pinred
 from pinred.cli.main import main
 from pinred.common.errors import InputError
-from pinred.laboratory.bench import Table
-from pinred.laboratory.bench import bench_derivatives
-from pinred.laboratory.bench import bench_forces
-from pinred.laboratory.bench import bench_many
-from pinred.laboratory.bench import bench_scaling
-from pinred.laboratory.bench import bench_threads
-from pinred.laboratory.bench import call_timing
-from pinred.laboratory.bench import kernel_timing
-from pinred.laboratory.bench import method_comparison
-from pinred.laboratory.bench import timing
+from pinred.laboratory.bench import (
+    Table,
+    bench_derivatives,
+    bench_forces,
+    bench_many,
+    bench_scaling,
+    bench_threads,
+    call_timing,
+    kernel_timing,
+    method_comparison,
+    timing,
+)
 from pinred.laboratory.bench.call_timing import BATCH_SOLVERS
 from pinred.laboratory.bench.kernel_timing import scaling_table
-from pinred.laboratory.bench.method_comparison import CANDIDATES
-from pinred.laboratory.bench.method_comparison import choice_of
+from pinred.laboratory.bench.method_comparison import CANDIDATES, choice_of
 from pinred.laboratory.bench.problems import chain
 
 pytestmark = pytest.mark.slow

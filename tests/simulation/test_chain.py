@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import json
-import numpy as np
-import pinocchio as pin
-import pytest
-import pinred
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from meeting_pairs import Full
-from meeting_pairs import make_pair
-from pinred import Chain
-from pinred import InputError
-from pinred import LoadError
-from pinred import Scene
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from meeting_pairs import Full, make_pair
+
+import pinred
+from pinred import Chain, InputError, LoadError, Scene
 from pinred.judge.impact_checks import judge_impact
 from pinred.judge.verdict import Verdict
 

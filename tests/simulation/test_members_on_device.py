@@ -5,24 +5,26 @@ from __future__ import annotations
 import inspect
 import re
 import sys
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
-import pinred
-from typing import Any
 from host_cuda_driver import host_driver
-from pinred.common.errors import DeviceError
-from pinred.common.errors import InputError
-from pinred.common.errors import MissingPackageError
-from pinred.common.errors import UnsupportedOperationError
+
+import pinred
+from pinred.common.errors import (
+    DeviceError,
+    InputError,
+    MissingPackageError,
+    UnsupportedOperationError,
+)
 from pinred.forces.kinds import Torque
 from pinred.forces.signals.signal import Hold
-from pinred.integrators.methods import DOP853
-from pinred.integrators.methods import Explicit
-from pinred.integrators.methods import Tsit5
-from pinred.kernels.device import cuda_driver
-from pinred.kernels.device import device_code
+from pinred.integrators.methods import DOP853, Explicit, Tsit5
+from pinred.kernels.device import cuda_driver, device_code
 from pinred.system.system import System
+
 
 @pytest.fixture(scope="module")
 def cat() -> System:

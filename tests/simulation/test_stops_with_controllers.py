@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
+
 import pinred
-from typing import Any
-from pinred.forces import PD
-from pinred.forces import ComputedTorque
-from pinred.forces import Controller
-from pinred.forces import Torque
+from pinred.forces import PD, ComputedTorque, Controller, Torque
 from pinred.forces.signals.signal import Expression
 from pinred.judge.verdict import Verdict
 from pinred.system.force_interface import SeenState

@@ -5,36 +5,23 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
-from robot_texts import FLOATING
-from robot_texts import HINGE
-from robot_texts import MASS
-from robot_texts import body
-from robot_texts import joint
-from robot_texts import link
-from robot_texts import mjcf
-from robot_texts import robot
-from robot_texts import write
-from strategies import Case
-from strategies import cases
-from strategies import groups
-from strategies import make_case
-from strategies import seeds
-from trees import inertia
-from trees import random_model
+from robot_texts import FLOATING, HINGE, MASS, body, joint, link, mjcf, robot, write
+from strategies import Case, cases, groups, make_case, seeds
+from trees import inertia, random_model
+
+import pinred
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 from pinred.system.joints import root_joint
-from pinred.system.loops.kinematics import loop_jacobian
-from pinred.system.loops.kinematics import loop_values
-from pinred.system.robot_files import bundled_robots
-from pinred.system.robot_files import has_example_robots
+from pinred.system.loops.kinematics import loop_jacobian, loop_values
+from pinred.system.robot_files import bundled_robots, has_example_robots
 
 needs_robots = pytest.mark.skipif(
     not has_example_robots(), reason="example-robot-data is not installed"

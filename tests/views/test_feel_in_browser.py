@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-import pinred
-from pathlib import Path
 from headless_browser import Browser
+
+import pinred
 from pinred.cli.main import main
 from pinred.common.arrays import Array
 from pinred.system.loops.kinematics import loop_values

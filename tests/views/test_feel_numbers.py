@@ -5,19 +5,23 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
+
 import pinred
-from typing import Any
 from pinred.common.arrays import Array
 from pinred.system.joints import axes_of
 from pinred.system.loops.kinematics import loop_values
-from pinred.views.feel.feel_page import feel_graphs
-from pinred.views.feel.feel_page import feel_page
-from pinred.views.feel.feel_page import felt_robot
-from pinred.views.feel.feel_page import loop_numbers
-from pinred.views.feel.feel_page import to_javascript
+from pinred.views.feel.feel_page import (
+    feel_graphs,
+    feel_page,
+    felt_robot,
+    loop_numbers,
+    to_javascript,
+)
 from pinred.views.playback.page import resource
 
 NODE = shutil.which("node")

@@ -5,30 +5,30 @@ from __future__ import annotations
 import base64
 import gzip
 import re
-import numpy as np
-import pinocchio as pin
-import pytest
-import pinred
 from collections.abc import Iterator
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
 from PIL import Image
 from trees import random_model
+
+import pinred
 from pinred.common import waiting
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 from pinred.lie.rotations import rotation
 from pinred.views.playback import film as films
 from pinred.views.playback.drawn_bodies import drawn_bodies
-from pinred.views.playback.film import write_frames
-from pinred.views.playback.film import write_gif
-from pinred.views.playback.playback import Playback
-from pinred.views.playback.playback import playback
-from pinred.views.playback.playback import shape_panel
+from pinred.views.playback.film import write_frames, write_gif
+from pinred.views.playback.playback import Playback, playback, shape_panel
 from pinred.views.playback.scene_nodes import frame
 from pinred.views.playback.view_options import View
+
 
 def film(name: str, *, ghost: bool = False, fps: float = 60.0, **scene: Any) -> Playback:
     """Return the playback of a robot's simulation."""

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
-import pytest
-import pinred
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
 from commands import python
-from figures import beanie
-from figures import drawn
-from figures import units
+from figures import beanie, drawn, units
 from matplotlib.text import Text
 from pictures import measured
+
+import pinred
 from pinred import plots
-from pinred.laboratory.bench.work_precision import Point
-from pinred.laboratory.bench.work_precision import WorkPrecision
+from pinred.laboratory.bench.work_precision import Point, WorkPrecision
+
 
 @pytest.fixture(scope="module")
 def cat() -> pinred.Trajectory:

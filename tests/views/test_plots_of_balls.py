@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+
 import pinred
-from pathlib import Path
 from pinred import plots
 from pinred.common.arrays import Array
 from pinred.lie.rotations import quaternion_exp
