@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import ThreadPoolExecutor
-
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from concurrent.futures import ThreadPoolExecutor
+from hypothesis import assume
+from hypothesis import given
 from hypothesis import strategies as st
-from native_functions import build, callable_of
+from native_functions import build
+from native_functions import callable_of
 from strategies import examples
-
 from pinred.common.arrays import Array
-from pinred.common.errors import InputError, UnsupportedOperationError
-from pinred.common.machine_code import cpu_target, load_object
-from pinred.kernels.machine import lowering, native
+from pinred.common.errors import InputError
+from pinred.common.errors import UnsupportedOperationError
+from pinred.common.machine_code import cpu_target
+from pinred.common.machine_code import load_object
+from pinred.kernels.machine import lowering
+from pinred.kernels.machine import native
 from pinred.kernels.machine.native import compile_object
 
 INF, NAN = np.inf, np.nan
@@ -433,9 +436,11 @@ def test_long_code_that_runs_rarely_is_not_optimised(monkeypatch: pytest.MonkeyP
     """It compiles in one function, without fused multiply-adds."""
     x = ca.SX.sym("x", 3)
     function = ca.Function("f", [x], [x[0] * x[1] + x[2]])
+    monkeypatch.setenv("PINRED_CODE_LEVEL", "1")
     short = compile_object(function, "f", rare=True)
     assert short == compile_object(function, "f")
     monkeypatch.setattr(native, "LONG", 0)
     long = compile_object(function, "f", rare=True)
     assert long == native.generate(lowering.lower(function, "f", fma=cpu_target().fma), 0)
+    assert long != short
     assert callable_of(load_object(long, "f"), 1, 1)(np.array([2.0, 3.0, 4.0]))[0] == 10.0

@@ -473,46 +473,46 @@ def _divide(
     for k, line in enumerate(lines):
         if k >= starts[-1] + part and _OPERATION in line:
             starts.append(k)
-    parts = [lines[a:b] for a, b in pairwise([*starts, len(lines)])]
-    names = [[_VALUE.findall(line) for line in lines_of_part] for lines_of_part in parts]
-    made = {
-        values[0]: k
-        for k, of_part in enumerate(names)
-        for line, values in zip(parts[k], of_part, strict=True)
-        if line[0] == "%"
+    parts = [
+        [(line, _VALUE.findall(line)) for line in lines[start:stop]]
+        for start, stop in pairwise([*starts, len(lines)])
+    ]
+    made = {  # the part that computes each value
+        values[0]: k for k, code in enumerate(parts) for line, values in code if line[0] == "%"
     }
-    addresses: dict[str, int] = {}  # of values that later parts need, in the array
+    indices: dict[str, int] = {}  # in the array, of values that later parts need
     size = 0
-    for k, of_part in enumerate(names):
-        for value in chain.from_iterable(of_part):
-            if made.get(value, k) < k and value not in addresses:
-                addresses[value] = size
+    for k, code in enumerate(parts):
+        for value in chain.from_iterable(values for _, values in code):
+            if made.get(value, k) < k and value not in indices:
+                indices[value] = size
                 size += widths.get(value, 1)
-    functions = []
-    arguments = ", ".join([*pointers, "ptr noalias %work"])
-    for k, (of_part, values_of) in enumerate(zip(parts, names, strict=True)):
-        functions.append(f"define internal void @{name}.{k}({arguments}) noinline nounwind {{")
+
+    def access(value: str) -> tuple[str, str, str]:
+        """Return the name and the line of the address of a value in the array, and its type."""
+        at = f"%at.{value[1:]}"
+        line = f"{at} = getelementptr double, ptr %work, i64 {indices[value]}"
+        return at, line, vector(widths.get(value, 1))
+
+    functions: list[str] = []
+    parameters = ", ".join([*pointers, "ptr noalias %work"])
+    for k, code in enumerate(parts):
+        functions.append(f"define internal void @{name}.{k}({parameters}) noinline nounwind {{")
         loaded = set()
-        for line, values in zip(of_part, values_of, strict=True):
+        for line, values in code:
             for value in values:
                 if made.get(value, k) < k and value not in loaded:
                     loaded.add(value)
-                    at = f"%at.{value[1:]}"
-                    functions += [
-                        f"{at} = getelementptr double, ptr %work, i64 {addresses[value]}",
-                        f"{value} = load {vector(widths.get(value, 1))}, ptr {at}, align 8"
-                        ", !invariant.load !1",
-                    ]
+                    at, address, T = access(value)
+                    load = f"{value} = load {T}, ptr {at}, align 8, !invariant.load !1"
+                    functions += [address, load]
             functions.append(line)
-            if line[0] == "%" and values[0] in addresses:
-                at = f"%at.{values[0][1:]}"
-                functions += [
-                    f"{at} = getelementptr double, ptr %work, i64 {addresses[values[0]]}",
-                    f"store {vector(widths.get(values[0], 1))} {values[0]}, ptr {at}, align 8",
-                ]
+            if line[0] == "%" and values[0] in indices:
+                at, address, T = access(values[0])
+                functions += [address, f"store {T} {values[0]}, ptr {at}, align 8"]
         functions += ["ret void", "}"]
-    passed = ", ".join(f"ptr {pointer.split()[-1]}" for pointer in [*pointers, "%work"])
-    calls = [f"call void @{name}.{k}({passed})" for k in range(len(parts))]
+    arguments = ", ".join(f"ptr {pointer.split()[-1]}" for pointer in [*pointers, "%work"])
+    calls = [f"call void @{name}.{k}({arguments})" for k in range(len(parts))]
     return [*functions, "!1 = !{}"], [f"%work = alloca [{size} x double]", *calls]
 
 
