@@ -11,7 +11,9 @@ from ..integrators.stepping.compiling import compiled
 from ..integrators.stepping.kernel_call import SEEDS, call, call_tangent
 
 
-def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
+def evaluate(
+    address: int, parameters: Array, y: Array, size: int, out: Array | None = None
+) -> Array:
     """Evaluate a kernel at several states, with common or separate parameters.
 
     Args:
@@ -19,10 +21,11 @@ def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
         parameters: Parameters, (p,) for all states, or (T, p) for each state.
         y: States, (T, k).
         size: Number of outputs of the kernel.
+        out: Array (T, size) for the values; a new one if None.
     Returns:
         (T, size): the values.
     """
-    values = np.empty((len(y), size))
+    values = np.empty((len(y), size)) if out is None else out
     rows = np.ascontiguousarray(np.atleast_2d(parameters))
     stride = 0 if parameters.ndim == 1 else 1  # rows between the parameters of successive states
     _evaluate_all(address, rows, np.ascontiguousarray(y), values, stride)

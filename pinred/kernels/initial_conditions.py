@@ -102,18 +102,21 @@ class InitialConditionsKernel:
         """Values of the variable body parameters of the system; (1,) without any."""
         return free_numbers(self.system, self.freed) if self.freed else np.zeros(1)
 
-    def evaluate(self, states: Array, numbers: Array | None = None) -> Array:
+    def evaluate(
+        self, states: Array, numbers: Array | None = None, out: Array | None = None
+    ) -> Array:
         """Compute the outputs of the kernel, (N, size).
 
         Args:
             states: Pose, shape, shape rate and body twist or momentum of N states, (N, …).
             numbers: Values of the variable body parameters, as for a call.
+            out: Array (N, size) for the outputs; a new one if None.
         Returns:
             The outputs.
         """
         if numbers is None:
             numbers = self.own_numbers
-        return evaluate(self.code.address, numbers, states, self.size)
+        return evaluate(self.code.address, numbers, states, self.size, out)
 
     @cached_property
     def about(self) -> slice:
