@@ -141,7 +141,10 @@ def _calls(system: System) -> Iterator[Callable[[], Any]]:
         yield partial(_without_variables, method)
     yield lambda: compare(simulate(system, seed=1, duration=_DURATION))
     for kind in (DOP853, Tsit5):
-        yield partial(stepper_with_few_rows(kind()).loops.advance, *loop_arguments())
+        for tangent in (False, True):
+            stepper = stepper_with_few_rows(kind(), tangent=tangent)
+            yield partial(stepper.loops.advance, *loop_arguments())
+        yield partial(_jacobians, system, kind.__name__)
     yield partial(_uncommon, system)
     yield partial(_film, system)
     if find_spec("jax") is not None:
@@ -203,6 +206,12 @@ def _jax_gradient(system: System) -> Any:
 
     function = flow(system, wrt=["x0"], of=["x"], seed=1, duration=_DURATION).jax()
     return jax.grad(lambda x0: function(x0).sum())(np.zeros(system.m))
+
+
+def _jacobians(system: System, method: str) -> Any:
+    """Differentiate several motions at once."""
+    many = flow(system, wrt=["x0"], seed=1, duration=_DURATION, method=method)
+    return many.columns().jacobians(np.zeros((2, system.m)))
 
 
 def _derivatives(system: System, method: str) -> Any:

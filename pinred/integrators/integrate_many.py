@@ -29,7 +29,7 @@ from .solution import checked_times
 from .stepping.codes import DIVERGED, DONE, NOT_FINITE, PAUSED, TOO_MANY, UNDERFLOW
 from .stepping.run_state import NOT_CANONICAL, Canonical, copied
 from .stepping.state_rows import Quaternions
-from .stepping.step_loop import OUTCOME, Batch
+from .stepping.step_loop import OUTCOME, Batch, Stepper
 
 STATUS = {
     DONE: "done",
@@ -88,6 +88,7 @@ def integrate_many(
     tangent: Tangent | None = None,
     canonical: Canonical = NOT_CANONICAL,
     progress: Callable[[float], None] | None = None,
+    stepper: Stepper | None = None,
 ) -> Solutions:
     """Integrate ẏ = f(y, params[i]) from y0[i] for all members i, each as `integrate` does.
 
@@ -107,6 +108,7 @@ def integrate_many(
         tangent: As for `integrate`.
         canonical: As for `integrate`.
         progress: Called with the finished fraction of the members.
+        stepper: Compiled loops of the method; None for those of `integrate`.
     Returns:
         States, outcomes and statistics of all runs.
     Raises:
@@ -115,7 +117,7 @@ def integrate_many(
     asked = checked_batch(address, params, y0, t_end, times, quaternions, threads)
     batch, size = asked.batch, len(asked.batch.y0)
     n = asked.batch.y0.shape[1]
-    stepper = stepper_of(method)
+    stepper = stepper or stepper_of(method)
     unbegun = begun_by(method, address, n, asked.end, quaternions, canonical)
     if stepper.needs_tangent:
         give_tangent(tangent, method, unbegun)

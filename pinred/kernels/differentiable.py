@@ -72,7 +72,7 @@ class Differentiable:
             undefined there.
         judge: Function that validates the machine code of the value.
         limbs: Whether the adjoint computes identical branches of the robot in SIMD lanes. `pair`
-            always does.
+            and `joined` always do.
     """
 
     kernel: Kernel
@@ -99,25 +99,26 @@ class Differentiable:
     def pair(self) -> NativeCode:
         """Machine code (a, b, direction of a, of b, out); out: the result, then its derivative."""
         name = f"{self.name}_pair"
+        return self._code(
+            name,
+            lambda _: self._compile_in_lanes(name, tangent_in_lanes),
+            lambda native: self._validate_pair(name, partial(_call_forward, native.address)),
+        )
+
+    @cached_property
+    def joined(self) -> NativeCode:
+        """Machine code ((a, δa), (b, δb), out) for one direction; out: as of `pair`."""
+        name = f"{self.name}_joined"
 
         def validate(native: NativeCode) -> None:
-            def derivative(at: Sample, da: Array, db: Array, covector: Array) -> Array:
-                both = np.empty((2, len(covector)))
-                _call_forward(native.address, at.a, at.b, da, db, both.ravel())
-                values = partial(values_near, self._reference, at)
-                expected = values(np.zeros(len(at.a))) / at.sizes
-                if np.isfinite(expected).all():
-                    noise = round_off_near(lambda step: values(step) / at.sizes, len(at.a))
-                    require_agreement(
-                        f"'{name}' of '{self.kernel.system.name}'", "the value",
-                        both[0] / at.sizes, expected, noise / ROUND_OFF,
-                        reference=f"the code of '{self.name}'",
-                    )  # fmt: skip
-                return np.atleast_1d(covector @ both[1])
+            def call_joined(a: Array, b: Array, da: Array, db: Array, out: Array) -> None:
+                both = np.concatenate([a, da]), np.concatenate([b, db])
+                call_value(native.address, *both, out)
 
-            self._validate_derivative(name, derivative)
+            self._validate_pair(name, call_joined)
 
-        return self._code(name, lambda _: self._compile_in_lanes(name, tangent_in_lanes), validate)
+        differentiate = partial(tangent_in_lanes, joined=True)
+        return self._code(name, lambda _: self._compile_in_lanes(name, differentiate), validate)
 
     @cached_property
     def adjoint(self) -> NativeCode:
@@ -185,6 +186,29 @@ class Differentiable:
             np.ascontiguousarray(db), seeds_a, seeds_b, lanes, result,
         )  # fmt: skip
         return result
+
+    def forward_many(self, a: Array, b: Array, da: Array, db: Array, size: int) -> Array:
+        """Compute directional derivatives at N points.
+
+        Args:
+            a: First columns, (N, …).
+            b: Second columns, (N, …).
+            da: D directions of a at each point, (N, …, D), or (1, …, D) at all points.
+            db: D directions of b at each point, (N, …, D), or (1, …, D) at all points.
+            size: Length of the result.
+        Returns:
+            (N, size, D): the derivatives.
+        """
+        count = da.shape[2]
+        batches = -(-count // SEEDS)
+        lanes = np.empty((len(a), batches, size * SEEDS))
+        if count:
+            _call_at_each(
+                self.tangent.address, np.ascontiguousarray(a), np.ascontiguousarray(b),
+                _in_lanes(da, batches), _in_lanes(db, batches), lanes,
+            )  # fmt: skip
+        by_lane = lanes.reshape(len(a), batches, size, SEEDS).transpose(0, 2, 1, 3)
+        return by_lane.reshape(len(a), size, batches * SEEDS)[..., :count]
 
     def reverse(self, a: Array, b: Array, covector: Array) -> tuple[Array, Array]:
         """Compute the derivatives of λᵀ f with respect to a and to b.
@@ -263,6 +287,33 @@ class Differentiable:
         value = self.write(graph)
         derivative = differentiate(value, value_lanes.marks[value.name()], lanes, name)
         return compile_object(derivative, name, lanes.marks[name])
+
+    def _validate_pair(self, name: str, evaluate: Callable[..., None]) -> None:
+        """Compare a result and its derivative with the validated code.
+
+        Args:
+            name: Name of the machine code.
+            evaluate: Function (a, b, δa, δb, out) that writes the result, then its derivative.
+        Raises:
+            KernelMismatch: One of them differs.
+            InputError: The finite differences are inaccurate at most points.
+        """
+
+        def derivative(at: Sample, da: Array, db: Array, covector: Array) -> Array:
+            both = np.empty((2, len(covector)))
+            evaluate(at.a, at.b, da, db, both.ravel())
+            values = partial(values_near, self._reference, at)
+            expected = values(np.zeros(len(at.a))) / at.sizes
+            if np.isfinite(expected).all():
+                noise = round_off_near(lambda step: values(step) / at.sizes, len(at.a))
+                require_agreement(
+                    f"'{name}' of '{self.kernel.system.name}'", "the value",
+                    both[0] / at.sizes, expected, noise / ROUND_OFF,
+                    reference=f"the code of '{self.name}'",
+                )  # fmt: skip
+            return np.atleast_1d(covector @ both[1])
+
+        self._validate_derivative(name, derivative)
 
     def _validate_derivative(self, name: str, derivative: Callable[..., Array]) -> None:
         """Compare λᵀ(∂f/∂a δa + ∂f/∂b δb) with finite differences of λᵀf.
@@ -409,6 +460,23 @@ def repeat_adjoint(
 @compiled
 def _call_forward(address: int, a: Array, b: Array, da: Array, db: Array, out: Array) -> None:
     call_slopes(address, a, b, da, db, out)
+
+
+def _in_lanes(directions: Array, batches: int) -> Array:
+    """Arrange directions (N, n, D) in the layout of tangent kernels, (N, batches, n SEEDS)."""
+    points, n, count = directions.shape
+    padded = np.zeros((points, n, batches * SEEDS))
+    padded[..., :count] = directions
+    by_batch = padded.reshape(points, n, batches, SEEDS).transpose(0, 2, 1, 3)
+    return np.ascontiguousarray(by_batch).reshape(points, batches, n * SEEDS)
+
+
+@compiled
+def _call_at_each(address: int, a: Array, b: Array, da: Array, db: Array, out: Array) -> None:
+    for i in range(out.shape[0]):
+        row_a, row_b = i % da.shape[0], i % db.shape[0]
+        for j in range(out.shape[1]):
+            call_slopes(address, a[i], b[i], da[row_a, j], db[row_b, j], out[i, j])
 
 
 @compiled

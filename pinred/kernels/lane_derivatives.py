@@ -137,7 +137,9 @@ def _mark_node(mark: Mark, operands: list[Node], lanes: Lanes) -> Node:
     return Node(value, width, [(operand, 1.0) for operand in operands], mark)
 
 
-def tangent_in_lanes(rate: ca.Function, marks: list[Mark], lanes: Lanes, name: str) -> ca.Function:
+def tangent_in_lanes(
+    rate: ca.Function, marks: list[Mark], lanes: Lanes, name: str, *, joined: bool = False
+) -> ca.Function:
     """Build a vector field together with its derivative along one direction.
 
     Args:
@@ -146,8 +148,10 @@ def tangent_in_lanes(rate: ca.Function, marks: list[Mark], lanes: Lanes, name: s
         marks: Lane operations of `rate`, one per symbol.
         lanes: Lanes object that receives the lane operations of the derivative.
         name: Name of the Function.
+        joined: Whether each column is followed by its direction in one input.
     Returns:
-        Function (y, parameters, δy, δparameters) → (ẏ, δẏ).
+        Function (y, parameters, δy, δparameters) → (ẏ, δẏ), or ((y, δy), (parameters,
+        δparameters)) → (ẏ, δẏ).
     """
     y, p = ca.SX.sym("y", rate.numel_in(0)), ca.SX.sym("p", rate.numel_in(1))
     directions = ca.SX.sym("dy", y.numel()), ca.SX.sym("dp", p.numel())
@@ -158,7 +162,25 @@ def tangent_in_lanes(rate: ca.Function, marks: list[Mark], lanes: Lanes, name: s
         node.tangent = _tangent(node, lanes)
     rows = [outputs[row] for row in range(rate.numel_out(1))]
     both = [*(node.value for node in rows), *(node.tangent for node in rows)]
-    return lanes.function(name, [y, p, *directions], ca.vertcat(ca.SX(0, 1), *both))
+    columns = [y, p, *directions]
+    if joined:
+        columns = [ca.vertcat(*pair) for pair in zip((y, p), directions, strict=True)]
+    return lanes.function(name, columns, ca.vertcat(ca.SX(0, 1), *both))
+
+
+def joined_tangent(rate: ca.Function, name: str) -> ca.Function:
+    """Build a vector field with its derivative, without lanes; see `tangent_in_lanes`.
+
+    Args:
+        rate: Vector field (y, parameters) → ẏ.
+        name: Name of the Function.
+    Returns:
+        Function ((y, δy), (parameters, δparameters), nothing) → (nothing, (ẏ, δẏ)).
+    """
+    y, p = rate.sx_in()
+    none = ca.SX(0, 1)
+    plain = ca.Function("rate", [y, p, none], [none, ca.densify(rate(y, p))], {"cse": True})
+    return tangent_in_lanes(plain, [], Lanes(), name, joined=True)
 
 
 def _tangent(node: Node, lanes: Lanes) -> Scalar:

@@ -43,9 +43,11 @@ from ...integrators.stepping.run_state import LAYOUT, NOT_CANONICAL, new_run
 from ...integrators.stepping.shipped_code import shipped_name
 from ...integrators.stepping.step_loop import OUTCOME
 from ...integrators.stepping.wrapped_code import bitcode_of
+from ...reduction.tree.identical_branches import Mark
 from ...system.state_fields import FIELDS
 from ..build import model_bytes
 from ..kernel import Kernel, in_given_order
+from ..lane_derivatives import joined_tangent
 from ..machine.lowering import lower
 from ..machine.sincos import PARTS, constant, declarations, rotated_ir
 from ..reduced_graph import ReducedGraph
@@ -183,20 +185,21 @@ _INTRINSICS = re.compile(
 )
 
 
-def ptx_of(kernel: Kernel, method: Explicit) -> bytes:
+def ptx_of(kernel: Kernel, method: Explicit, *, tangent: bool = False) -> bytes:
     """Return the PTX that integrates members with a kernel, from the cache if it is there.
 
     Args:
         kernel: The kernel, already validated against Pinocchio.
         method: Explicit method.
+        tangent: Whether members carry a tangent.
     Returns:
         The PTX.
     Raises:
         UnsupportedOperationError: The code needs a function that devices do not have.
     """
-    advance: Any = stepper_with_few_rows(method).loops.advance
+    advance: Any = stepper_with_few_rows(method, tangent=tangent).loops.advance
     loop = advance.py_func.__name__, advance.stamp
-    return _cached_ptx(kernel, loop, lambda: device_ir(kernel, method))
+    return _cached_ptx(kernel, loop, lambda: device_ir(kernel, method, tangent=tangent))
 
 
 def outputs_ptx(kernel: Kernel, names: Sequence[str]) -> bytes:
@@ -225,12 +228,14 @@ def _cached_ptx(kernel: Kernel, kind: tuple[str, ...], make_ir: Callable[[], str
     return once(kernel, (_cached_ptx, *kind), load)
 
 
-def device_ir(kernel: Kernel, method: Explicit) -> str:
+def device_ir(kernel: Kernel, method: Explicit, *, tangent: bool = False) -> str:
     """Return the IR that integrates members: step loop, kernel and entry point.
 
     Args:
         kernel: The kernel.
         method: Explicit method.
+        tangent: Whether members carry a tangent: their states and parameters are followed by
+            directions.
     Returns:
         The IR, for the device, with no function undefined.
     Raises:
@@ -238,10 +243,14 @@ def device_ir(kernel: Kernel, method: Explicit) -> str:
     """
     rate = ReducedGraph(kernel.system, kernel.structure, kernel.forces).rate()
     # Without states, one number is integrated instead.
-    n = max(kernel.layout.size, 1)
-    stepper = stepper_with_few_rows(method)
-    entry = _entry(n, kernel.layout.parameters, stepper.work(n).shape)
-    texts = [lower(rate, "rate", fma=True), entry]
+    n, parameters = max(kernel.layout.size, 1), kernel.layout.parameters
+    marks: list[Mark] | None = None
+    if tangent:
+        rate, marks = joined_tangent(rate, "rate"), []
+        n, parameters = 2 * n, 2 * parameters
+    stepper = stepper_with_few_rows(method, tangent=tangent)
+    entry = _entry(n, parameters, stepper.work(n).shape)
+    texts = [lower(rate, "rate", marks, fma=True), entry]
     user = f"{method.name} or the forces"
     return _linked_ir(kernel, user, texts, ENTRY, _bitcode(stepper.loops.advance))
 
@@ -602,6 +611,8 @@ def integrate_on_device(
     t_end: ArrayLike,
     times: ArrayLike,
     progress: Callable[[float], None] | None = None,
+    *,
+    tangent: bool = False,
 ) -> Solutions:
     """Integrate ẏ = f(y, params[i]) from y0[i] for all members i, one member per thread.
 
@@ -616,6 +627,8 @@ def integrate_on_device(
         t_end: End time, or one for each member, (N,) [s].
         times: Sorted report times, (T,) or (N, T), as for `integrate_many` [s].
         progress: Called with the completed fraction of the members.
+        tangent: Whether members carry a tangent: y0 is (N, 2 n) and params (N, 2 p), with
+            directions in their second halves, and the states of the solutions are (…, 2 n).
     Returns:
         The solutions, member first.
     Raises:
@@ -632,7 +645,7 @@ def integrate_on_device(
     run = begun_by(method, kernel.rate.address, n, asked.end, quaternions, NOT_CANONICAL)
     run["budget"] = _NO_PAUSE
     launch = Launch(
-        ptx_of(kernel, method),
+        ptx_of(kernel, method, tangent=tangent),
         ENTRY,
         (columns, rows),
         (run, batch.params, batch.y0, batch.ends, batch.times),

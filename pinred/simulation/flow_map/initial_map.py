@@ -74,6 +74,34 @@ class InitialMap:
         columns = (np.ascontiguousarray(each.T) for each in (y, parameters, path))
         return CompiledFlow(self._kernel, self._tables, *columns)
 
+    def along_many(
+        self, states: Array, constants: Array, directions: tuple[Array, Array]
+    ) -> tuple[Array, Array, Array]:
+        """Return derivatives of the flow of N inputs along D directions of each.
+
+        Args:
+            states: States of the inputs, (N, …).
+            constants: Constants of the inputs, (N, …).
+            directions: Directions of both, (N, …, D), or (1, …, D) for all inputs.
+        Returns:
+            Derivatives of the reduced states (N, n, D), the parameters (N, p, D) and the paths
+            (N, 3k, D).
+        """
+        by_state, by_constants = directions
+        # The entries come first here, as in `along`.
+        known, falls = self._split(np.moveaxis(by_constants, 0, 1))
+        points = self._with_path(self._split(constants.T)[0], None).T
+        derivatives = self._function.forward_many(
+            states, points, by_state, np.moveaxis(self._with_path(known, None), 1, 0), self._size
+        )
+        y, head, start = self._pieces(np.moveaxis(derivatives, 0, 1))
+        shape = (len(states), by_state.shape[2])
+        known, falls = (np.broadcast_to(a, (len(a), *shape)) for a in (known, falls))
+        path = np.concatenate([start, falls])
+        parameters = np.concatenate([head, self._with_path(known, path)])
+        y = y if len(y) else np.zeros((1, *shape))
+        return tuple(np.moveaxis(a, 0, 1) for a in (y, parameters, path))  # type: ignore[return-value]
+
     def expect_along(self) -> None:
         """Let other threads generate the machine code of `along`."""
         expect_code(lambda: self._function.tangent)

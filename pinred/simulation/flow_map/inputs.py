@@ -360,6 +360,37 @@ class Inputs:
         state[self._shape_at] = close_inputs(self._system, x, rates, values, self._planned.joints)
         return Given(state, constants, robot, forces, stops, rates)
 
+    @property
+    def are_linear(self) -> bool:
+        """Whether all inputs with derivatives are entries of columns, or added to them."""
+        return not (
+            self._curved
+            or self._planned.joints
+            or self.sizes.keys() & (self._robot_values.keys() | self._stops_at.keys())
+        )
+
+    def linear_columns(self, values: Mapping[str, Array], count: int) -> tuple[Array, Array]:
+        """Return the columns of `count` inputs, with the bits of `given`; see `are_linear`.
+
+        Args:
+            values: Values of inputs by name, (N, size) or (1, size), finite.
+            count: Number of inputs N.
+        Returns:
+            The states, (N, …), and the constants, (N, …).
+        """
+        state, constants = (
+            np.repeat(a[None], count, 0) for a in (self.own.state, self.own.constants)
+        )
+        numbers = constants[:, self._numbers_at]
+        for name, rows in values.items():
+            if name in self._places:
+                state[:, self._places[name]] = rows
+                continue
+            changes = rows - np.atleast_1d(self._values[name])
+            for k in range(changes.shape[1]):
+                numbers += self._slopes[name][:, k] * changes[:, k, None]
+        return state, constants
+
     def _check_names(self, names: Sequence[str], known: Sequence[str]) -> list[str]:
         """Return the names as a list.  Raises InputError if a name is unknown or repeated."""
         entries = _as_list(names)

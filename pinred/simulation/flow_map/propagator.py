@@ -43,12 +43,15 @@ from ..compiled.code_ahead import expect, expect_cotangents, expect_tangents
 from ..compiled.compiled_flow import CompiledFlow, kernel_of, rate_address, read_field
 from ..compiled.integrator import explained, wild_steps
 from ..members.integrate_members import integrate_members
+from ..members.trajectories import Batch
 from ..plan import Plan, Span, spans_between
 from .initial_map import InitialMap
 from .inputs import Given, motion_of
 from .jumps import jumps_of
 from .outcome_adjoint import OutcomeAdjoint
 from .resolved_run import Run, resolve_run
+
+_NUMBERS_AT_ONCE = 2**24  # largest number of derivatives that are kept at once
 
 
 class _ReadOnAccess:
@@ -266,7 +269,9 @@ class Propagator:
         )
         return _joined(*rows)
 
-    def outputs_of_many(self, states: Array, constants: Array, threads: int | None) -> Array:
+    def outputs_of_many(
+        self, states: Array, constants: Array, threads: int | None, device: str | None = None
+    ) -> Array:
         """Compute the kernel's outputs at many inputs, in SIMD lanes if the method supports lanes.
 
         The results agree with `outputs` within round-off times the growth along the flow.
@@ -275,42 +280,109 @@ class Propagator:
             states: State of the inputs, (N, …), as in Given.
             constants: Constants of the inputs, (N, …), as in Given.
             threads: Number of threads; as many as processors if None.
+            device: "cuda" to integrate on CUDA devices, None for the CPU.
         Returns:
             (N, T, ·): the outputs at the report times.
         Raises:
             InputError: An initial momentum or twist overflows.
             IntegrationError: The integration of a member fails.
         """
-        flow, kernel, count = self.initial.of_many(states, constants), self.kernel, len(states)
-        plan = self.plan
-        batch = integrate_members(flow, plan, np.arange(count), threads)
-        if batch.failures:
-            failure = min(batch.failures, key=lambda failure: failure.member)
-            raise IntegrationError(
-                f"member {failure.member} of {count} stopped at t = {failure.time:g} s: "
-                f"{failure.reason}"
-            )
-        T = len(plan.scene.report_times)
-        times = np.tile(plan.scene.report_times, count)
-        inputs = batch.y[:, :, : kernel.layout.size].reshape(count * T, kernel.layout.size)
-        if not kernel.layout.clock:
-            inputs = np.hstack([inputs, times[:, None]])
+        flow, count = self.initial.of_many(states, constants), len(states)
+        batch = integrate_members(flow, self.plan, np.arange(count), threads, device=device)
+        _refuse_failures(batch, count)
+        outputs = self._outputs_at(*self._points(flow, batch.y))
+        return outputs.reshape(count, -1, self.kernel.where.size)
+
+    def jacobians(
+        self,
+        states: Array,
+        constants: Array,
+        directions: tuple[Array, Array],
+        rows: tuple[Row, ...],
+        threads: int | None,
+        device: str | None,
+    ) -> Array:
+        """Compute derivatives of outputs at many inputs, each direction with a run of its own.
+
+        Args:
+            states: State of the inputs, (N, …), as in Given.
+            constants: Constants of the inputs, (N, …), as in Given.
+            directions: D directions of both, (N, …, D), or (1, …, D) for all inputs.
+            rows: Names of the outputs.
+            threads: Number of threads; as many as processors if None.
+            device: "cuda" to integrate on CUDA devices, None for the CPU.
+        Returns:
+            (N, T, rows, D).
+        Raises:
+            InputError: An initial momentum or twist overflows.
+            IntegrationError: The integration of a member fails, or a derivative is not finite.
+        """
+        N, D, T = len(states), directions[0].shape[2], len(self.plan.scene.report_times)
+        most = max(1, _NUMBERS_AT_ONCE // (max(D, 1) * T * (2 * self._n + self._size(rows))))
+        if most < N:
+            parts = [slice(first, first + most) for first in range(0, N, most)]
+            return np.concatenate([
+                self.jacobians(
+                    states[part], constants[part],
+                    tuple(a if len(a) == 1 else a[part] for a in directions),  # type: ignore[arg-type]
+                    rows, threads, device,
+                )
+                for part in parts
+            ])  # fmt: skip
+        if not D:
+            return np.zeros((N, T, self._size(rows), 0))
+        flow = self.initial.of_many(states, constants)
+        y, parameters, path = self.initial.along_many(states, constants, directions)
+        y0 = flow.y0 if flow.y0.shape[1] else np.zeros((N, 1))
+        joined = CompiledFlow(
+            self.kernel,
+            flow.tables,
+            _with_directions(y0, y),
+            _with_directions(flow.parameters, parameters),
+            np.repeat(flow.path, D, axis=0),
+        )
+        batch = integrate_members(
+            joined, self.plan, np.arange(N * D), threads, device=device, tangent=True
+        )
+        _refuse_failures(batch, N, D)
+        both = batch.y.reshape(N, D, T, 2, -1)
+        inputs, numbers = self._points(flow, both[:, 0, :, 0])
+        outputs = self._outputs_at(inputs, numbers)
+        layout = self.kernel.layout
+        times = np.tile(self.plan.scene.report_times, N)[:, None]
+        a = np.hstack([inputs[:, : layout.size], times, reference_in(self.kernel, outputs)])
+        da = np.zeros((N * T, a.shape[1], D))
+        tangents = np.moveaxis(both[:, :, :, 1], 1, 3)[:, :, : layout.size]
+        da[:, : layout.size] = tangents.reshape(N * T, -1, D)
+        db = np.repeat(np.concatenate([parameters, path], axis=1), T, axis=0)
+        slopes = outcome_of(self.kernel, rows).forward_many(a, numbers, da, db, self._size(rows))
+        return self._finite(slopes)[0].reshape(N, T, -1, D)
+
+    def _points(self, flow: CompiledFlow, y: Array) -> tuple[Array, Array]:
+        """Return the inputs of outputs, (N T, …), and their constants, of reduced states (N, T, ·).
+
+        The inputs are the reduced state, and the time unless the state contains it.
+        """
+        layout, plan, (N, T, _) = self.kernel.layout, self.plan, y.shape
+        inputs = y[:, :, : layout.size].reshape(N * T, layout.size)
+        if not layout.clock:
+            inputs = np.hstack([inputs, np.tile(plan.scene.report_times, N)[:, None]])
         parameters = np.repeat(flow.parameters, T, axis=0)
         if plan.forces is not None:
-            reports = plan.scene.report_times
+            runs = flow.numbers if plan.stops_vary else flow.numbers[:1]  # others have equal stops
             within = [
                 time_within(span.start, span.stop)
-                for stops in plan.stops_of_runs(flow.numbers)
-                for span in spans_between(stops, reports)
+                for stops in plan.stops_of_runs(runs)
+                for span in spans_between(stops, plan.scene.report_times)
                 for _ in range(len(span.times))
             ]
             numbers = parameters[:, flow.numbers_at]
-            plan.forces.set_span(numbers, np.array(within))
-        path = np.repeat(flow.path, T, axis=0)
-        rows_of_outputs = evaluate(
-            kernel.outputs.address, np.hstack([parameters, path]), inputs, kernel.where.size
-        )
-        return rows_of_outputs.reshape(count, T, kernel.where.size)
+            plan.forces.set_span(numbers, np.resize(within, N * T))
+        return inputs, np.hstack([parameters, np.repeat(flow.path, T, axis=0)])
+
+    def _outputs_at(self, inputs: Array, constants: Array) -> Array:
+        """Return the kernel's outputs at the points of `_points`."""
+        return evaluate(self.kernel.outputs.address, constants, inputs, self.kernel.where.size)
 
     def entries(self, rows: Iterable[Outcome]) -> Indices:
         """Return the indices, among the kernel's outputs, of fields of State."""
@@ -553,6 +625,24 @@ class Propagator:
     def _size(self, rows: tuple[Row, ...]) -> int:
         sizes = sizes_of(self.plan.system)
         return sum(sizes[row] for row in rows)
+
+
+def _with_directions(columns: Array, directions: Array) -> Array:
+    """Append each of D directions (N, n, D) to rows (N, n): (N D, 2 n)."""
+    N, n, D = directions.shape
+    both = np.empty((N, D, 2, n))
+    both[:, :, 0], both[:, :, 1] = columns[:, None], np.moveaxis(directions, 2, 1)
+    return both.reshape(N * D, 2 * n)
+
+
+def _refuse_failures(batch: Batch, count: int, runs: int = 1) -> None:
+    """Raise IntegrationError if one of `count` members fails, each of which has several runs."""
+    if batch.failures:
+        failure = min(batch.failures, key=lambda failure: failure.member)
+        raise IntegrationError(
+            f"member {failure.member // runs} of {count} stopped at t = {failure.time:g} s: "
+            f"{failure.reason}"
+        )
 
 
 def _joined(*parts: Array) -> Array:
