@@ -11,25 +11,29 @@ import filecmp
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+import numpy as np
+from collections.abc import Callable
+from collections.abc import Iterator
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from shutil import copytree, rmtree
+from shutil import copytree
+from shutil import rmtree
 from tempfile import TemporaryDirectory
 from typing import Any
-
-import numpy as np
-
 from ..analysis.phases.gait import Gait
 from ..analysis.phases.phase import phase
 from ..analysis.stability.linearised_flow import linearised_flow
 from ..common.errors import InputError
 from ..forces.kinds import Torque
 from ..forces.signals.signal import Hold
-from ..integrators.methods import DOP853, METHODS, Explicit, Tsit5
+from ..integrators.methods import DOP853
+from ..integrators.methods import METHODS
+from ..integrators.methods import Explicit
+from ..integrators.methods import Tsit5
 from ..integrators.stepping import shipped_code
-from ..integrators.stepping.call_wrapper import ArgumentType, Bitcode
+from ..integrators.stepping.call_wrapper import ArgumentType
+from ..integrators.stepping.call_wrapper import Bitcode
 from ..judge.compare import compare
 from ..kernels.device.device_code import loop_arguments
 from ..kernels.device.few_rows import stepper_with_few_rows
@@ -38,8 +42,10 @@ from ..simulation.simulate import simulate
 from ..simulation.simulate_many import simulate_many
 from ..system.load import load
 from ..system.system import System
-from ..views.playback.film import SIZE, Frames
-from ..views.playback.view_options import FILM_FPS, View
+from ..views.playback.film import SIZE
+from ..views.playback.film import Frames
+from ..views.playback.view_options import FILM_FPS
+from ..views.playback.view_options import View
 from .installation_commands import warm_caches
 
 # The compiler of all shipped bitcode.  Newer versions of LLVM read bitcode of this one, the oldest
@@ -139,7 +145,10 @@ def _calls(system: System) -> Iterator[Callable[[], Any]]:
         yield partial(_without_variables, method)
     yield lambda: compare(simulate(system, seed=1, duration=_DURATION))
     for method_class in (DOP853, Tsit5):
-        yield partial(stepper_with_few_rows(method_class()).loops.advance, *loop_arguments())
+        for tangent in (False, True):
+            stepper = stepper_with_few_rows(method_class(), tangent=tangent)
+            yield partial(stepper.loops.advance, *loop_arguments())
+        yield partial(_jacobians, system, method_class.__name__)
     yield partial(_uncommon, system)
     yield partial(_film, system)
     if find_spec("jax") is not None:
@@ -201,6 +210,12 @@ def _jax_gradient(system: System) -> Any:
 
     function = flow(system, wrt=["x0"], of=["x"], seed=1, duration=_DURATION).jax()
     return jax.grad(lambda x0: function(x0).sum())(np.zeros(system.m))
+
+
+def _jacobians(system: System, method: str) -> Any:
+    """Differentiate several motions at once."""
+    many = flow(system, wrt=["x0"], seed=1, duration=_DURATION, method=method)
+    return many.columns().jacobians(np.zeros((2, system.m)))
 
 
 def _derivatives(system: System, method: str) -> Any:

@@ -19,26 +19,36 @@ adjoint of a sum over lanes is added to all lanes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cached_property, partial
-from typing import Any
-
 import casadi as ca
 import numpy as np
-
-from ..common.arrays import Array, central_differences
-from ..common.errors import InputError, KernelMismatch
+from collections.abc import Callable
+from dataclasses import dataclass
+from dataclasses import field
+from functools import cached_property
+from functools import partial
+from typing import Any
+from ..common.arrays import Array
+from ..common.arrays import central_differences
+from ..common.errors import InputError
+from ..common.errors import KernelMismatch
 from ..common.machine_code import NativeCode
 from ..integrators.stepping.kernel_call import SEEDS
-from ..reduction.tree.identical_branches import Lanes, Mark
-from ..reduction.tree.scalars import Scalar, add, mul
-from .derived_code import derived_code, round_off_near
-from .evaluate import call_forward, call_in_batches, call_reverse, call_value
+from ..reduction.tree.identical_branches import Lanes
+from ..reduction.tree.identical_branches import Mark
+from ..reduction.tree.scalars import Scalar
+from ..reduction.tree.scalars import add
+from ..reduction.tree.scalars import mul
+from .derived_code import derived_code
+from .derived_code import round_off_near
+from .evaluate import call_forward
+from .evaluate import call_in_batches
+from .evaluate import call_reverse
+from .evaluate import call_value
 from .kernel import Kernel
 from .machine.native import compile_object
 from .reduced_graph import ReducedGraph
-from .validation import ROUND_OFF, require_agreement
+from .validation import ROUND_OFF
+from .validation import require_agreement
 
 _STEP = 1e-3  # step of the finite differences, relative to the sizes of the columns
 _TOLERANCE = 1e-7  # tolerance of directional derivatives, relative to the terms that sum to them
@@ -76,7 +86,7 @@ class Differentiable:
             undefined there.
         judge: Function that validates the machine code of the value.
         limbs: Whether the adjoint computes identical branches of the robot in SIMD lanes. `pair`
-            always does.
+            and `joined` always do.
     """
 
     kernel: Kernel
@@ -103,25 +113,26 @@ class Differentiable:
     def pair(self) -> NativeCode:
         """Machine code (a, b, direction of a, of b, out); out: the result, then its derivative."""
         name = f"{self.name}_pair"
+        return self._code(
+            name,
+            lambda _: self._compile_in_lanes(name, tangent_in_lanes),
+            lambda native: self._validate_pair(name, partial(call_forward, native.address)),
+        )
+
+    @cached_property
+    def joined(self) -> NativeCode:
+        """Machine code ((a, δa), (b, δb), out) for one direction; out: as of `pair`."""
+        name = f"{self.name}_joined"
 
         def validate(native: NativeCode) -> None:
-            def derivative(at: Sample, da: Array, db: Array, covector: Array) -> Array:
-                both = np.empty((2, len(covector)))
-                call_forward(native.address, at.a, at.b, da, db, both.ravel())
-                values = partial(values_near, self._reference, at)
-                expected = values(np.zeros(len(at.a))) / at.sizes
-                if np.isfinite(expected).all():
-                    noise = round_off_near(lambda step: values(step) / at.sizes, len(at.a))
-                    require_agreement(
-                        f"'{name}' of '{self.kernel.system.name}'", "the value",
-                        both[0] / at.sizes, expected, noise / ROUND_OFF,
-                        reference=f"the code of '{self.name}'",
-                    )  # fmt: skip
-                return np.atleast_1d(covector @ both[1])
+            def call_joined(a: Array, b: Array, da: Array, db: Array, out: Array) -> None:
+                both = np.concatenate([a, da]), np.concatenate([b, db])
+                call_value(native.address, *both, out)
 
-            self._validate_derivative(name, derivative)
+            self._validate_pair(name, call_joined)
 
-        return self._code(name, lambda _: self._compile_in_lanes(name, tangent_in_lanes), validate)
+        differentiate = partial(tangent_in_lanes, joined=True)
+        return self._code(name, lambda _: self._compile_in_lanes(name, differentiate), validate)
 
     @cached_property
     def adjoint(self) -> NativeCode:
@@ -189,6 +200,29 @@ class Differentiable:
             np.ascontiguousarray(db), seeds_a, seeds_b, lanes, result,
         )  # fmt: skip
         return result
+
+    def forward_many(self, a: Array, b: Array, da: Array, db: Array, size: int) -> Array:
+        """Compute directional derivatives at N points.
+
+        Args:
+            a: First columns, (N, …).
+            b: Second columns, (N, …).
+            da: D directions of a at each point, (N, …, D), or (1, …, D) at all points.
+            db: D directions of b at each point, (N, …, D), or (1, …, D) at all points.
+            size: Length of the result.
+        Returns:
+            (N, size, D): the derivatives.
+        """
+        count = da.shape[2]
+        batches = -(-count // SEEDS)
+        lanes = np.empty((len(a), batches, size * SEEDS))
+        if count:
+            call_at_each(
+                self.tangent.address, np.ascontiguousarray(a), np.ascontiguousarray(b),
+                _in_lanes(da, batches), _in_lanes(db, batches), lanes,
+            )  # fmt: skip
+        by_lane = lanes.reshape(len(a), batches, size, SEEDS).transpose(0, 2, 1, 3)
+        return by_lane.reshape(len(a), size, batches * SEEDS)[..., :count]
 
     def reverse(self, a: Array, b: Array, covector: Array) -> tuple[Array, Array]:
         """Compute the derivatives of λᵀ f with respect to a and to b.
@@ -267,6 +301,33 @@ class Differentiable:
         value = self.write(graph)
         derivative = differentiate(value, value_lanes.marks[value.name()], lanes, name)
         return compile_object(derivative, name, lanes.marks[name])
+
+    def _validate_pair(self, name: str, evaluate: Callable[..., None]) -> None:
+        """Compare a result and its derivative with the validated code.
+
+        Args:
+            name: Name of the machine code.
+            evaluate: Function (a, b, δa, δb, out) that writes the result, then its derivative.
+        Raises:
+            KernelMismatch: One of them differs.
+            InputError: The finite differences are inaccurate at most points.
+        """
+
+        def derivative(at: Sample, da: Array, db: Array, covector: Array) -> Array:
+            both = np.empty((2, len(covector)))
+            evaluate(at.a, at.b, da, db, both.ravel())
+            values = partial(values_near, self._reference, at)
+            expected = values(np.zeros(len(at.a))) / at.sizes
+            if np.isfinite(expected).all():
+                noise = round_off_near(lambda step: values(step) / at.sizes, len(at.a))
+                require_agreement(
+                    f"'{name}' of '{self.kernel.system.name}'", "the value",
+                    both[0] / at.sizes, expected, noise / ROUND_OFF,
+                    reference=f"the code of '{self.name}'",
+                )  # fmt: skip
+            return np.atleast_1d(covector @ both[1])
+
+        self._validate_derivative(name, derivative)
 
     def _validate_derivative(self, name: str, derivative: Callable[..., Array]) -> None:
         """Compare λᵀ(∂f/∂a δa + ∂f/∂b δb) with finite differences of λᵀf.
@@ -377,6 +438,15 @@ def _adjoint(f: ca.Function) -> ca.Function:
     both = ca.vertcat(a, b)
     derivatives = ca.jtimes(f(a, b), both, covector, True)
     return ca.Function("adjoint", [a, b, covector], [ca.densify(derivatives)], {"cse": True})
+
+def _in_lanes(directions: Array, batches: int) -> Array:
+    """Arrange directions (N, n, D) in the layout of tangent kernels, (N, batches, n SEEDS)."""
+    points, n, count = directions.shape
+    padded = np.zeros((points, n, batches * SEEDS))
+    padded[..., :count] = directions
+    by_batch = padded.reshape(points, n, batches, SEEDS).transpose(0, 2, 1, 3)
+    return np.ascontiguousarray(by_batch).reshape(points, batches, n * SEEDS)
+
 
 
 @dataclass
@@ -492,7 +562,9 @@ def _mark_node(mark: Mark, operands: list[Node], lanes: Lanes) -> Node:
     return Node(value, width, [(operand, 1.0) for operand in operands], mark)
 
 
-def tangent_in_lanes(rate: ca.Function, marks: list[Mark], lanes: Lanes, name: str) -> ca.Function:
+def tangent_in_lanes(
+    rate: ca.Function, marks: list[Mark], lanes: Lanes, name: str, *, joined: bool = False
+) -> ca.Function:
     """Build a vector field together with its derivative along one direction.
 
     Args:
@@ -501,8 +573,10 @@ def tangent_in_lanes(rate: ca.Function, marks: list[Mark], lanes: Lanes, name: s
         marks: Lane operations of `rate`, one per symbol.
         lanes: Lanes object that receives the lane operations of the derivative.
         name: Name of the Function.
+        joined: Whether each column is followed by its direction in one input.
     Returns:
-        Function (y, parameters, δy, δparameters) → (ẏ, δẏ).
+        Function (y, parameters, δy, δparameters) → (ẏ, δẏ), or ((y, δy), (parameters,
+        δparameters)) → (ẏ, δẏ).
     """
     y, p = ca.SX.sym("y", rate.numel_in(0)), ca.SX.sym("p", rate.numel_in(1))
     directions = ca.SX.sym("dy", y.numel()), ca.SX.sym("dp", p.numel())
@@ -513,7 +587,25 @@ def tangent_in_lanes(rate: ca.Function, marks: list[Mark], lanes: Lanes, name: s
         node.tangent = _tangent_of(node, lanes)
     rows = [outputs[row] for row in range(rate.numel_out(1))]
     both = [*(node.value for node in rows), *(node.tangent for node in rows)]
-    return lanes.function(name, [y, p, *directions], ca.vertcat(ca.SX(0, 1), *both))
+    columns = [y, p, *directions]
+    if joined:
+        columns = [ca.vertcat(*pair) for pair in zip((y, p), directions, strict=True)]
+    return lanes.function(name, columns, ca.vertcat(ca.SX(0, 1), *both))
+
+
+def joined_tangent(rate: ca.Function, name: str) -> ca.Function:
+    """Build a vector field with its derivative, without lanes; see `tangent_in_lanes`.
+
+    Args:
+        rate: Vector field (y, parameters) → ẏ.
+        name: Name of the Function.
+    Returns:
+        Function ((y, δy), (parameters, δparameters), nothing) → (nothing, (ẏ, δẏ)).
+    """
+    y, p = rate.sx_in()
+    none = ca.SX(0, 1)
+    plain = ca.Function("rate", [y, p, none], [none, ca.densify(rate(y, p))], {"cse": True})
+    return tangent_in_lanes(plain, [], Lanes(), name, joined=True)
 
 
 def _tangent_of(node: Node, lanes: Lanes) -> Scalar:

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
-
+from collections.abc import Iterator
 from ..common.arrays import Array
 from ..integrators.stepping.compiling import compiled
-from ..integrators.stepping.kernel_call import (
-    SEEDS,
-    call,
-    call_adjoint,
-    call_slopes,
-    call_tangent,
-    from_lanes,
-    to_lanes,
-)
+from ..integrators.stepping.kernel_call import SEEDS
+from ..integrators.stepping.kernel_call import call
+from ..integrators.stepping.kernel_call import call_adjoint
+from ..integrators.stepping.kernel_call import call_slopes
+from ..integrators.stepping.kernel_call import call_tangent
+from ..integrators.stepping.kernel_call import from_lanes
+from ..integrators.stepping.kernel_call import to_lanes
 
-
-def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
+def evaluate(
+    address: int, parameters: Array, y: Array, size: int, out: Array | None = None
+) -> Array:
     """Evaluate a kernel at several states, with common or separate parameters.
 
     Args:
@@ -27,10 +24,11 @@ def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
         parameters: Parameters, (p,) for all states, or (T, p) for each state.
         y: States, (T, k).
         size: Number of outputs of the kernel.
+        out: Array (T, size) for the values; a new one if None.
     Returns:
         (T, size): the values.
     """
-    values = np.empty((len(y), size))
+    values = np.empty((len(y), size)) if out is None else out
     rows = np.ascontiguousarray(np.atleast_2d(parameters))
     stride = 0 if parameters.ndim == 1 else 1  # rows between the parameters of successive states
     _evaluate_all(address, rows, np.ascontiguousarray(y), values, stride)
@@ -148,6 +146,24 @@ def repeat_adjoint(
 def call_forward(address: int, a: Array, b: Array, da: Array, db: Array, out: Array) -> None:
     """Evaluate a tangent (a, b, δa, δb, result) into `out`."""
     call_slopes(address, a, b, da, db, out)
+
+
+@compiled
+def call_at_each(address: int, a: Array, b: Array, da: Array, db: Array, out: Array) -> None:
+    """Compute derivatives along batches of SEEDS directions at each of several points.
+
+    Args:
+        address: Address of the machine code.
+        a: First columns, (N, …).
+        b: Second columns, (N, …).
+        da: Directions of a, (N or 1, batches, … SEEDS).
+        db: Directions of b, (N or 1, batches, … SEEDS).
+        out: Receives the derivatives, (N, batches, size SEEDS).
+    """
+    for i in range(out.shape[0]):
+        row_a, row_b = i % da.shape[0], i % db.shape[0]
+        for j in range(out.shape[1]):
+            call_slopes(address, a[i], b[i], da[row_a, j], db[row_b, j], out[i, j])
 
 
 @compiled

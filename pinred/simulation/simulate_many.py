@@ -238,7 +238,7 @@ def run_members(
                 done += 1
                 report(0.0, 0)
             continue
-        for members_of_flow, flow in flows_of(group.plan, group.given, group.own):
+        for members_of_flow, flow in flows_of(group.plan, group.given, group.own, threads):
             report_part = None if progress is None else partial(report, share=len(members_of_flow))
             batch = integrate_members(
                 flow, group.plan, group.members[members_of_flow], threads, report_part, device

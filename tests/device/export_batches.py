@@ -18,8 +18,13 @@ import casadi as ca
 import numpy as np
 
 import pinred
+from pinred.common.arrays import Array
 from pinred.forces.kinds import Torque
+from pinred.integrators.integrate_many import integrate_many
 from pinred.kernels.device import cuda_driver, device_code
+from pinred.kernels.device.few_rows import stepper_with_few_rows
+from pinred.kernels.flow_functions import rate_of
+from pinred.simulation.flow_map.flow_columns import Columns
 from pinred.simulation.members.trajectories import Trajectories
 
 
@@ -37,6 +42,8 @@ class Batch:
         functions: Whether a torque of time needs functions of libm, hence libdevice.
         fields: Fields of the states that a launch computes from reduced states; none if a launch
             integrates members.
+        wrt: Inputs of a flow whose derivatives the members carry; none if a launch integrates
+            states alone.
     """
 
     name: str
@@ -46,6 +53,19 @@ class Batch:
     bound: float = 1e-9
     functions: bool = False
     fields: tuple[str, ...] = ()
+    wrt: tuple[str, ...] = ()
+
+    def columns(self) -> Columns:
+        """Return the flow whose derivatives the members carry."""
+        options: dict[str, Any] = {"seed": 7, "duration": self.end, "method": self.method}
+        flow = pinred.flow(pinred.load(self.robot), wrt=self.wrt, rtol=1e-9, **options)
+        return flow.columns()
+
+    def inputs(self, count: int) -> list[Array]:
+        """Return the inputs of some members of the flow."""
+        rng = np.random.default_rng(7)
+        starts = self.columns().starts
+        return [start + 0.1 * rng.normal(size=(count, len(start))) for start in starts]
 
     def options(self, count: int) -> dict[str, Any]:
         """Return the arguments of `simulate_many` for some members."""
@@ -81,6 +101,23 @@ BATCHES = (
 )
 
 
+TANGENTS = (
+    Batch("tangents_of_chain", "planar_chain5", 1.0, wrt=("x0", "xdot0"), bound=1e-8),
+    Batch("tangents_of_cat", "falling_cat", 1.0, wrt=("x0", "xi0"), bound=1e-8),
+)
+
+
+def _tangents_on_cpu(columns: Columns, launch: cuda_driver.Launch) -> Array:
+    """Return the states and tangents that a launch computes."""
+    propagator = columns.flow.propagator
+    kernel, method = propagator.kernel, propagator.method
+    _, params, y0, ends, times = launch.inputs
+    return integrate_many(
+        method, rate_of(kernel).joined.address, params, y0, ends, times[0],
+        kernel.layout.quaternions, stepper=stepper_with_few_rows(method, tangent=True),
+    ).y  # fmt: skip
+
+
 class _Exported(Exception):  # noqa: N818 - no error
     """The launch is stored."""
 
@@ -96,19 +133,26 @@ def export(batch: Batch, folder: Path, count: int = 256) -> Path:
         The file of the arguments.
     """
     file = folder / f"{batch.name}.npz"
-    options = batch.options(count)
-    cpu = pinred.simulate_many(**options)
-    expected = [cpu.fields([name])[name] for name in batch.fields] or [cpu.y]
+    expected, columns = list[Array](), None
+    if batch.wrt:
+        columns = batch.columns()
+    else:
+        options = batch.options(count)
+        cpu = pinred.simulate_many(**options)
+        expected = [cpu.fields([name])[name] for name in batch.fields] or [cpu.y]
 
     def store(launch: cuda_driver.Launch, progress: Any = None) -> None:  # noqa: ARG001
-        assert len(launch.results[0]) == count
+        if columns is not None:
+            expected.append(_tangents_on_cpu(columns, launch))
+        size = len(expected[0])
+        assert len(launch.results[0]) == size == count * sum(columns.sizes if columns else [1])
         file.with_suffix(".ptx").write_bytes(launch.code)
         arrays: dict[str, Any] = {
             f"{kind}{k}": array.view(np.uint8).reshape(len(array), -1)
             for kind, group in (("input", launch.inputs), ("result", launch.results))
             for k, array in enumerate(group)
         }
-        arrays |= {f"expected{k}": array.reshape(count, -1) for k, array in enumerate(expected)}
+        arrays |= {f"expected{k}": array.reshape(size, -1) for k, array in enumerate(expected)}
         np.savez_compressed(
             file, entry=launch.entry, numbers=launch.numbers, each=launch.each, bound=batch.bound,
             **arrays,
@@ -120,7 +164,9 @@ def export(batch: Batch, folder: Path, count: int = 256) -> Path:
         mock.patch.object(device_code, "run_on_devices", store),
     ):
         try:
-            if batch.fields:
+            if columns is not None:
+                columns.jacobians(*batch.inputs(count), device="cuda")
+            elif batch.fields:
                 (members,) = cpu._batches
                 members = replace(members, device="cuda")
                 scenes = cpu._count, cpu._scene_of
@@ -136,5 +182,5 @@ if __name__ == "__main__":
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copy(Path(__file__).with_name("run_on_device.py"), folder)
-    for each in BATCHES:
+    for each in (*BATCHES, *TANGENTS):
         print(export(each, folder))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from export_batches import BATCHES, Batch, export
+from export_batches import BATCHES, TANGENTS, Batch, export
 from host_cuda_driver import host_driver
 from run_on_device import run_folder
 
@@ -74,6 +74,17 @@ def test_exported_states_are_those_of_the_cpu(
     assert not result["passed"]
 
 
+def test_exported_tangents_are_those_of_the_cpu(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Each direction of each member is a row."""
+    driver = host_driver(monkeypatch)
+    export(Batch("tangents", "falling_cat", 0.1, wrt=("x0", "xi0")), tmp_path, count=2)
+    (result,) = run_folder(driver, tmp_path, members=20)
+    assert (result["members"], result["passed"]) == (36, True)
+    assert result["largest"] < 1e-12
+
+
 def test_runner_imports_neither_pinred_nor_pinocchio() -> None:
     """It runs on machines that have neither."""
     code = (
@@ -91,14 +102,15 @@ def test_runner_imports_neither_pinred_nor_pinocchio() -> None:
 @pytest.mark.usefixtures("_device")
 def test_exported_batches_agree_with_the_cpu(tmp_path: Path) -> None:
     """The command is the one that runs on machines without pinred."""
-    for batch in BATCHES:
-        export(batch, tmp_path)
+    for batch in (*BATCHES, *TANGENTS):
+        export(batch, tmp_path, 256 if batch in BATCHES else 32)
     runner = Path(__file__).with_name("run_on_device.py")
     command = [sys.executable, str(runner), str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     print(done.stdout)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert len(json.loads((tmp_path / "results.json").read_text())) == len(BATCHES)
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert len(results) == len(BATCHES) + len(TANGENTS)
 
 
 @pytest.mark.device
@@ -115,3 +127,14 @@ def test_simulate_many_on_a_device_agrees_with_the_cpu(batch: Batch) -> None:
             values = getattr(expected, name)
             scale = max(1.0, float(np.abs(values).max()))
             assert np.abs(getattr(many, name) - values).max() <= batch.bound * scale
+
+
+@pytest.mark.device
+@pytest.mark.usefixtures("_device")
+@pytest.mark.parametrize("batch", TANGENTS, ids=lambda batch: batch.name)
+def test_jacobians_on_a_device_agree_with_the_cpu(batch: Batch) -> None:
+    """All calls of the driver are those of users."""
+    columns, inputs = batch.columns(), batch.inputs(32)
+    expected = columns.jacobians(*inputs)
+    for found, slopes in zip(columns.jacobians(*inputs, device="cuda"), expected, strict=True):
+        assert np.abs(found - slopes).max() <= batch.bound * max(1.0, np.abs(slopes).max())

@@ -303,8 +303,8 @@ def host_driver(monkeypatch: pytest.MonkeyPatch) -> _HostDriver:
 
 
 @once_for_all
-def _ir_of(kernel: Kernel, method: Explicit) -> bytes:
-    return device_ir(kernel, method).encode()
+def _ir_of(kernel: Kernel, method: Explicit, *, tangent: bool = False) -> bytes:
+    return device_ir(kernel, method, tangent=tangent).encode()
 
 
 @once_for_all

@@ -4,37 +4,44 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Callable
-from enum import IntEnum
-from importlib.metadata import PackageNotFoundError, files
-from pathlib import Path
-from threading import Thread
-
 import llvmlite.binding as llvm
 import numpy as np
 import pytest
-from host_cuda_driver import host_driver
-
 import pinred
+from collections.abc import Callable
+from enum import IntEnum
+from importlib.metadata import PackageNotFoundError
+from importlib.metadata import files
+from pathlib import Path
+from threading import Thread
+from host_cuda_driver import host_driver
 from pinred.common.arrays import Array
-from pinred.common.errors import DeviceError, UnsupportedOperationError
+from pinred.common.errors import DeviceError
+from pinred.common.errors import UnsupportedOperationError
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import Solutions
-from pinred.integrators.methods import DOP853, Tsit5
+from pinred.integrators.methods import DOP853
+from pinred.integrators.methods import Tsit5
 from pinred.integrators.stepping.call_wrapper import COMPILED
 from pinred.integrators.stepping.compiling import compiled
-from pinred.integrators.stepping.run_state import (
-    DONE,
-    EVALUATIONS_BETWEEN_PAUSES,
-    LAYOUT,
-    TOO_MANY,
-    Runs,
-)
+from pinred.integrators.stepping.run_state import DONE
+from pinred.integrators.stepping.run_state import EVALUATIONS_BETWEEN_PAUSES
+from pinred.integrators.stepping.run_state import LAYOUT
+from pinred.integrators.stepping.run_state import TOO_MANY
+from pinred.integrators.stepping.run_state import Runs
 from pinred.integrators.stepping.step_loop import OUTCOME
 from pinred.kernels.build import build_kernel
-from pinred.kernels.device import cuda_driver, device_code
+from pinred.kernels.device import cuda_driver
+from pinred.kernels.device import device_code
 from pinred.kernels.device.few_rows import stepper_with_few_rows
-from pinred.kernels.kernel import Kernel, Structure
+from pinred.kernels.kernel import Kernel
+from pinred.kernels.kernel import Structure
+from pinred.common.machine_code import load_object
+from pinred.integrators.integrate_many import integrate_many
+from pinred.integrators.methods import Explicit
+from pinred.kernels.lane_derivatives import joined_tangent
+from pinred.kernels.machine.native import compile_object
+from pinred.kernels.reduced_graph import ReducedGraph
 
 _EXTERN = b".extern"  # of functions that another module defines
 
@@ -87,7 +94,9 @@ def test_ptxas_assembles_the_ptx_with_a_known_stack(
     """Recursion or calls by pointers would leave the size of the stack unknown."""
     source, target = tmp_path / "members.ptx", tmp_path / "members.cubin"
     outputs = device_code.emit_ptx(device_code.outputs_ir(kernel, ("pose", "energy")))
-    for code in (ptx, outputs):
+    tangents = device_code.emit_ptx(device_code.device_ir(kernel, DOP853(), tangent=True))
+    assert _EXTERN not in tangents
+    for code in (ptx, outputs, tangents):
         source.write_bytes(code)
         command = [_ptxas(), "-arch=sm_90", "-O1", "-v", str(source), "-o", str(target)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -113,13 +122,18 @@ def test_ptx_is_cached_by_kernel_and_method(
 ) -> None:
     """A second process finds the PTX on disk."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(device_code, "device_ir", lambda kernel, method: method.name)  # noqa: ARG005
+
+    def name_of(_: Kernel, method: Explicit, *, tangent: bool) -> str:
+        return method.name + " with tangent" * tangent
+
+    monkeypatch.setattr(device_code, "device_ir", name_of)
     monkeypatch.setattr(device_code, "emit_ptx", str.encode)
     monkeypatch.setattr(device_code, "once", lambda owner, key, make: make())  # noqa: ARG005
     assert device_code.ptx_of(kernel, DOP853()) == b"DOP853"
     monkeypatch.setattr(device_code, "emit_ptx", lambda ir: f"new {ir}".encode())
     assert device_code.ptx_of(kernel, DOP853(rtol=1e-5)) == b"DOP853"
     assert device_code.ptx_of(kernel, Tsit5()) == b"new Tsit5"
+    assert device_code.ptx_of(kernel, DOP853(), tangent=True) == b"new DOP853 with tangent"
     other = build_kernel(kernel.system, Structure())
     assert device_code.ptx_of(other, DOP853()) == b"new DOP853"
 
@@ -173,6 +187,30 @@ def test_members_in_device_threads_equal_single_runs_bit_for_bit(
     assert set(many.status) == {DONE, TOO_MANY}
     for k in range(66):
         _check_member(method, kernel, many, k, params[k], y0[k], float(ends[k]))
+
+
+def test_tangents_in_device_threads_have_the_bits_of_the_cpu(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same loop runs over the same expressions; states have the steps of plain runs."""
+    host_driver(monkeypatch)
+    graph = ReducedGraph(kernel.system, kernel.structure).rate()
+    joined = load_object(compile_object(joined_tangent(graph, "joined"), "joined", []), "joined")
+    params, y0 = (np.hstack([a, np.roll(a, 1, axis=1)]) for a in _batch(kernel, 5))
+    times, method = [0.0, 0.02, 0.05], DOP853(rtol=1e-6)
+    many = device_code.integrate_on_device(method, kernel, params, y0, 0.05, times, tangent=True)
+    quaternions = kernel.layout.quaternions
+    cpu = integrate_many(
+        method, joined.address, params, y0, 0.05, times, quaternions,
+        stepper=stepper_with_few_rows(method, tangent=True),
+    )  # fmt: skip
+    n, p = kernel.layout.size, kernel.layout.parameters
+    plain = integrate_many(
+        method, kernel.rate.address, params[:, :p], y0[:, :n], 0.05, times, quaternions
+    )
+    assert np.array_equal(many.y, cpu.y)
+    np.testing.assert_allclose(many.y[..., :n], plain.y, rtol=0, atol=1e-10)
+    assert many.steps.tolist() == cpu.steps.tolist() == plain.steps.tolist()
 
 
 def _check_member(
@@ -387,7 +425,7 @@ def test_module_stays_loaded_for_the_next_run(
     monkeypatch.setattr(driver, "cuModuleLoadData", counted)
     texts = [f"{device_code.device_ir(kernel, DOP853())}\n; {k}\n".encode() for k in range(3)]
     for k, expected in ((0, 1), (1, 2), (0, 2), (2, 3), (0, 3), (1, 4)):
-        monkeypatch.setattr(device_code, "ptx_of", lambda *_, k=k: texts[k])
+        monkeypatch.setattr(device_code, "ptx_of", lambda *_, k=k, **_options: texts[k])
         device_code.integrate_on_device(DOP853(), kernel, *_batch(kernel, 1), 0.1, [0.1])
         assert len(loaded) == expected
         assert len(driver.modules) <= 2

@@ -11,6 +11,7 @@ from stiff_kernels import kernel
 
 from pinred.common.errors import NonFiniteState
 from pinred.integrators.integrate import integrate
+from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.methods import DOP853, Explicit, Tsit5
 from pinred.integrators.methods.method import stepper_of
 from pinred.integrators.solution import Solution as Run
@@ -55,6 +56,42 @@ def test_few_rows_change_no_bit(kind: type[Explicit], monkeypatch: pytest.Monkey
         assert np.array_equal(found.y, one.y)
         assert (found.steps, found.rejected) == (one.steps, one.rejected)
         assert found.evaluations == one.evaluations
+
+
+@kernel
+def spring_with_tangent(y: Any, p: Any, d: Any) -> None:
+    """The spring, and its derivative along directions of the state and of the parameter."""
+    spring_rates = y[1], -p[0] * y[0] - y[0] ** 3, ca.cos(y[0]), ca.sin(y[2]), y[3] * y[1]
+    for i in range(5):
+        d[i] = spring_rates[i]
+    u = y[5:10]
+    d[5], d[6] = u[1], -p[0] * u[0] - p[1] * y[0] - 3.0 * y[0] ** 2 * u[0]
+    d[7], d[8], d[9] = -ca.sin(y[0]) * u[0], ca.cos(y[2]) * u[2], u[3] * y[1] + y[3] * u[1]
+
+
+@pytest.mark.parametrize("kind", [DOP853])
+def test_tangent_follows_the_steps_of_the_state(kind: type[Explicit]) -> None:
+    """A large tangent changes no step, and is the derivative of the states at all times."""
+    rng, times = np.random.default_rng(3), np.linspace(0.0, 1.0, 41)
+    params, y0, along, force = rng.uniform(1.0, 1e3), rng.normal(size=5), rng.normal(size=5), 2e2
+    method = kind(rtol=1e-9, atol=1e-11)
+
+    def states(s: float) -> Run:
+        return integrate(method, spring, [params + s * force], y0 + s * along, 1.0, times)
+
+    one = states(0.0)
+    slopes = 8.0 * (states(1e-4).y - states(-1e-4).y) - (states(2e-4).y - states(-2e-4).y)
+    stepper = stepper_with_few_rows(method, tangent=True)
+    for size in (1.0, 1e6):
+        start = np.concatenate([y0, size * along])
+        both = integrate_many(
+            method, spring_with_tangent, [[params, size * force]], [start], 1.0, times,
+            stepper=stepper,
+        )  # fmt: skip
+        assert (both.steps[0], both.rejected[0]) == (one.steps, one.rejected)
+        np.testing.assert_allclose(both.y[0, :, :5], one.y, rtol=0, atol=1e-13)
+        tangents = both.y[0, :, 5:] / size
+        np.testing.assert_allclose(tangents, slopes / 12e-4, rtol=1e-7, atol=1e-5)
 
 
 def _failure(kind: type[Explicit], start: float) -> tuple[int, float]:

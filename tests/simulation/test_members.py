@@ -15,6 +15,8 @@ import pytest
 import pinred
 from pinred.forces import Controller, Damper, Spring, Torque
 from pinred.signals import Fourier, Hold, Spline
+from pinred.simulation.compiled import compiled_flow
+from pinred.simulation.members.member_options import MemberOptions
 from pinred.system.state_fields import State
 
 CAT = pinred.load("falling_cat")
@@ -296,3 +298,40 @@ def test_members_with_breaks_agree_with_simulate(capsys: pytest.CaptureFixture[s
     members["x0"][3] = np.nan
     with pytest.raises(pinred.InputError, match="finite"):
         pinred.simulate_many(CAT, members=members, **options)
+
+
+def _flows(threads: int) -> list[Any]:
+    """Return the flows of members with and without momentum, whose parameters differ."""
+    gain, rng = pinred.Parameter("gain", 0.3), np.random.default_rng(2)
+    rates = rng.normal(size=(11, 3))
+    twists = rng.normal(size=(11, 6))
+    rates[[2, 7]] = twists[[2, 7]] = 0.0
+    members = {"gain": rng.uniform(size=11), "xdot0": rates, "xi0": twists}
+    members |= {"x0": rng.normal(size=(11, 3)), "back.mass": rng.uniform(1.0, 3.0, 11)}
+    options = {"forces": [Damper("bend", gain)], "times": TIMES}
+    (group,) = MemberOptions(CAT, options, members, None).members().groups
+    return compiled_flow.flows_of(group.plan, group.given, group.own, threads)
+
+
+@pytest.mark.parametrize("threads", [1, 4])
+def test_members_are_set_up_by_copies_on_threads(
+    threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bits are those of arrays that are concatenated, without indices of copies."""
+    monkeypatch.setattr(compiled_flow, "_ROWS_OF_ONE_THREAD", 2)
+    flows = _flows(threads)
+    monkeypatch.setattr(compiled_flow, "prepare_start", lambda *_: None)
+    expected = _flows(1)
+    assert [len(members) for members, _ in flows] == [9, 2]
+    for (members, flow), (others, other) in zip(flows, expected, strict=True):
+        assert np.array_equal(members, others)
+        for name in ("y0", "parameters", "path"):
+            assert np.array_equal(getattr(flow, name), getattr(other, name)), name
+
+
+def test_members_whose_momentum_overflows_are_rejected() -> None:
+    """The momentum is a sum of products of finite numbers."""
+    rates = np.array([[1.0, 0.0, 0.0], [1e308, 1e308, 1e308]])
+    options: dict[str, Any] = {"xi0": [1e308, 0, 0, 1e308, 0, 0], "times": TIMES}
+    with pytest.raises(pinred.InputError, match="initial momentum or twist overflows"):
+        pinred.simulate_many(CAT, xdot0=rates, invalid="raise", **options)

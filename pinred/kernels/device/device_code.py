@@ -17,38 +17,57 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+import casadi as ca
+import llvmlite.binding as llvm
+import numpy as np
+from collections.abc import Callable
+from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import Any
-
-import casadi as ca
-import llvmlite.binding as llvm
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from ...common.arrays import Array, read_only
+from numpy.typing import ArrayLike
+from numpy.typing import NDArray
+from ...common.arrays import Array
+from ...common.arrays import read_only
 from ...common.errors import UnsupportedOperationError
 from ...common.installation import install_command
 from ...common.machine_code import LLVM_LOCK
-from ...common.memo import once, once_for_all
-from ...common.object_cache import ObjectCache, cache_key
+from ...common.memo import once
+from ...common.memo import once_for_all
+from ...common.object_cache import ObjectCache
+from ...common.object_cache import cache_key
 from ...integrators.integrate import begun_by
-from ...integrators.integrate_many import Solutions, checked_batch, solutions
+from ...integrators.integrate_many import Solutions
+from ...integrators.integrate_many import checked_batch
+from ...integrators.integrate_many import solutions
 from ...integrators.methods.method import Explicit
-from ...integrators.stepping.call_wrapper import COMPILED, argument_type
-from ...integrators.stepping.run_state import LAYOUT, NOT_CANONICAL, new_run
-from ...integrators.stepping.shipped_code import bitcode_of, shipped_name
+from ...integrators.stepping.call_wrapper import COMPILED
+from ...integrators.stepping.call_wrapper import argument_type
+from ...integrators.stepping.run_state import LAYOUT
+from ...integrators.stepping.run_state import NOT_CANONICAL
+from ...integrators.stepping.run_state import new_run
+from ...integrators.stepping.shipped_code import bitcode_of
+from ...integrators.stepping.shipped_code import shipped_name
 from ...integrators.stepping.step_loop import OUTCOME
 from ...system.state_fields import FIELDS
 from ..build import model_bytes
-from ..kernel import Kernel, in_given_order
+from ..kernel import Kernel
+from ..kernel import in_given_order
 from ..machine.lowering import lower
-from ..machine.sincos import PARTS, constant, declarations, rotated_ir
+from ..machine.sincos import PARTS
+from ..machine.sincos import constant
+from ..machine.sincos import declarations
+from ..machine.sincos import rotated_ir
 from ..reduced_graph import ReducedGraph
-from .cuda_driver import CAPABILITY, Launch, opened_devices, run_on_devices
+from .cuda_driver import CAPABILITY
+from .cuda_driver import Launch
+from .cuda_driver import opened_devices
+from .cuda_driver import run_on_devices
 from .few_rows import stepper_with_few_rows
+from ...reduction.tree.identical_branches import Mark
+from ..lane_derivatives import joined_tangent
 
 _DIGITS = 1225  # number of binary digits of 2/π that the largest angles need
 _WINDOW = 32  # length of a window [bytes]
@@ -181,20 +200,21 @@ _INTRINSICS = re.compile(
 )
 
 
-def ptx_of(kernel: Kernel, method: Explicit) -> bytes:
+def ptx_of(kernel: Kernel, method: Explicit, *, tangent: bool = False) -> bytes:
     """Return the PTX that integrates members with a kernel, from the cache if it is there.
 
     Args:
         kernel: The kernel, already validated against Pinocchio.
         method: Explicit method.
+        tangent: Whether members carry a tangent.
     Returns:
         The PTX.
     Raises:
         UnsupportedOperationError: The code needs a function that devices do not have.
     """
-    advance: Any = stepper_with_few_rows(method).loops.advance
+    advance: Any = stepper_with_few_rows(method, tangent=tangent).loops.advance
     loop = advance.py_func.__name__, advance.stamp
-    return _cached_ptx(kernel, loop, lambda: device_ir(kernel, method))
+    return _cached_ptx(kernel, loop, lambda: device_ir(kernel, method, tangent=tangent))
 
 
 def outputs_ptx(kernel: Kernel, names: Sequence[str]) -> bytes:
@@ -223,12 +243,14 @@ def _cached_ptx(kernel: Kernel, kind: tuple[str, ...], make_ir: Callable[[], str
     return once(kernel, (_cached_ptx, *kind), load)
 
 
-def device_ir(kernel: Kernel, method: Explicit) -> str:
+def device_ir(kernel: Kernel, method: Explicit, *, tangent: bool = False) -> str:
     """Return the IR that integrates members: step loop, kernel and entry point.
 
     Args:
         kernel: The kernel.
         method: Explicit method.
+        tangent: Whether members carry a tangent: their states and parameters are followed by
+            directions.
     Returns:
         The IR, for the device, with no function undefined.
     Raises:
@@ -236,10 +258,14 @@ def device_ir(kernel: Kernel, method: Explicit) -> str:
     """
     rate = ReducedGraph(kernel.system, kernel.structure, kernel.forces).rate()
     # Without states, one number is integrated instead.
-    n = max(kernel.layout.size, 1)
-    stepper = stepper_with_few_rows(method)
-    entry = _entry(n, kernel.layout.parameters, stepper.work(n).shape)
-    texts = [lower(rate, "rate", fma=True), entry]
+    n, parameters = max(kernel.layout.size, 1), kernel.layout.parameters
+    marks: list[Mark] | None = None
+    if tangent:
+        rate, marks = joined_tangent(rate, "rate"), []
+        n, parameters = 2 * n, 2 * parameters
+    stepper = stepper_with_few_rows(method, tangent=tangent)
+    entry = _entry(n, parameters, stepper.work(n).shape)
+    texts = [lower(rate, "rate", marks, fma=True), entry]
     user = f"{method.name} or the forces"
     return _linked_ir(kernel, user, texts, ENTRY, _bitcode(stepper.loops.advance))
 
@@ -600,6 +626,8 @@ def integrate_on_device(
     t_end: ArrayLike,
     times: ArrayLike,
     progress: Callable[[float], None] | None = None,
+    *,
+    tangent: bool = False,
 ) -> Solutions:
     """Integrate ẏ = f(y, params[i]) from y0[i] for all members i, one member per thread.
 
@@ -614,6 +642,8 @@ def integrate_on_device(
         t_end: End time, or one for each member, (N,) [s].
         times: Sorted report times, (T,) or (N, T), as for `integrate_many` [s].
         progress: Called with the completed fraction of the members.
+        tangent: Whether members carry a tangent: y0 is (N, 2 n) and params (N, 2 p), with
+            directions in their second halves, and the states of the solutions are (…, 2 n).
     Returns:
         The solutions, member first.
     Raises:
@@ -630,7 +660,7 @@ def integrate_on_device(
     run = begun_by(method, kernel.rate.address, n, asked.end, quaternions, NOT_CANONICAL)
     run["budget"] = _NO_PAUSE
     launch = Launch(
-        ptx_of(kernel, method),
+        ptx_of(kernel, method, tangent=tangent),
         ENTRY,
         (columns, rows),
         (run, batch.params, batch.y0, batch.ends, batch.times),

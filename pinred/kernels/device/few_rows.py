@@ -3,44 +3,59 @@
 A thread keeps its work rows in local memory, whose latency limits its speed.  Here, a rate that no
 later sum needs gives its row to another one, and rows of the dense output that are written last
 are those of its stages.  Operations and numbers are those of `explicit/runge_kutta.py`.
+
+A run may carry a tangent: its rows then contain n numbers of a state, followed by the n numbers of
+its derivative along one direction.  The errors of the state alone determine the steps, so they are
+those of the run without a tangent.
 """
 
 from __future__ import annotations
 
+import numpy as np
 from collections.abc import Iterator
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-
 from ...common.arrays import Array
 from ...common.memo import once_for_all
-from ...integrators.explicit.row_programs import Rate, Sum, row_program
-from ...integrators.explicit.runge_kutta import (
-    accept_step,
-    begin_run,
-    digest,
-    fill_dense_rows,
-    next_end_time,
-)
-from ...integrators.explicit.step_formulas import SCALAR, add_formulas, dense_value, next_step
+from ...integrators.explicit.row_programs import Rate
+from ...integrators.explicit.row_programs import Sum
+from ...integrators.explicit.row_programs import row_program
+from ...integrators.explicit.runge_kutta import accept_step
+from ...integrators.explicit.runge_kutta import begin_run
+from ...integrators.explicit.runge_kutta import digest
+from ...integrators.explicit.runge_kutta import fill_dense_rows
+from ...integrators.explicit.runge_kutta import next_end_time
+from ...integrators.explicit.step_formulas import SCALAR
+from ...integrators.explicit.step_formulas import add_formulas
+from ...integrators.explicit.step_formulas import dense_value
+from ...integrators.explicit.step_formulas import next_step
 from ...integrators.explicit.tableau import Tableau
 from ...integrators.methods.method import Explicit
-from ...integrators.stepping.compiling import Bindings, bind_globals, inlined, unbound
-from ...integrators.stepping.run_state import (
-    DENSE,
-    DONE,
-    STEP,
-    Run,
-    copy_an_end,
-    quaternions_of,
-    reject_step,
-)
-from ...integrators.stepping.state_rows import NEW, Y, first_not_finite, padded_rows, unit_alone
-from ...integrators.stepping.step_loop import Hooks, Stepper, loops
-
+from ...integrators.stepping.compiling import Bindings
+from ...integrators.stepping.compiling import bind_globals
+from ...integrators.stepping.compiling import inlined
+from ...integrators.stepping.compiling import unbound
+from ...integrators.stepping.run_state import DENSE
+from ...integrators.stepping.run_state import DONE
+from ...integrators.stepping.run_state import STEP
+from ...integrators.stepping.run_state import Run
+from ...integrators.stepping.run_state import copy_an_end
+from ...integrators.stepping.run_state import quaternions_of
+from ...integrators.stepping.run_state import reject_step
+from ...integrators.stepping.state_rows import NEW
+from ...integrators.stepping.state_rows import Y
+from ...integrators.stepping.state_rows import first_not_finite
+from ...integrators.stepping.state_rows import padded_rows
+from ...integrators.stepping.state_rows import unit_alone
+from ...integrators.stepping.step_loop import Hooks
+from ...integrators.stepping.step_loop import Stepper
+from ...integrators.stepping.step_loop import loops
+from typing import TypeAlias
+from ...integrators.stepping.replay import across
+from ...integrators.stepping.state_rows import first_entries
+from ...integrators.stepping.state_rows import inverse_length
 
 @dataclass(frozen=True)
 class Rows:
@@ -116,6 +131,7 @@ class Rows:
 
 END_RATE, ROW = 0, 0
 fill_step = fill_end = fill_errors = estimate = find_in_stages = program = find_later = unbound
+first_step = unbound
 
 
 # --- hooks of the step loop ---------------------------------------------------------------------
@@ -176,20 +192,83 @@ def write_state(run: Run, params: Array, work: Array, time: float, t_new: float,
     return DONE
 
 
+# --- states with a tangent ----------------------------------------------------------------------
+
+
+# Index of the first quaternion, number of quaternions, and number of entries of the state.
+Places: TypeAlias = tuple[int, int, int]
+
+
+@inlined
+def places_of(run: Run) -> Places:
+    """Return the quaternions of the state, and the index of the tangent in a row."""
+    return run.quaternions_at, run.quaternion_count, run.n // 2
+
+
+@inlined
+def unit_alone_with_tangent(y: Array, places: Places) -> None:
+    """Normalise the quaternions of a state, with the derivative of this for the tangent."""
+    first, count, n = places
+    across(y, (first, count), y[n : 2 * n], 1)
+    unit_alone(y, (first, count))
+
+
+@inlined
+def unit_with_tangent(y: Array, rate: Array, places: Places) -> None:
+    """Normalise the quaternions of a state with its tangent, and scale their rates likewise.
+
+    The rate k of a quaternion q becomes k/|q|, whose derivative is (δk − k q·δq/|q|²)/|q|.
+    """
+    first, count, n = places
+    for at in first_entries((first, count)):
+        factor = inverse_length(y, at)
+        radial = 0.0
+        for i in range(at, at + 4):
+            radial += y[i] * factor * y[n + i]
+        for i in range(at, at + 4):
+            rate[i] *= factor
+            rate[n + i] = factor * (rate[n + i] - rate[i] * radial)
+    unit_alone_with_tangent(y, places)
+
+
+def first_step_of_state(run: Run, params: Array, work: Array) -> float:
+    """Return the first step of a run without a tangent."""
+    run.n = run.n // 2
+    h: float = first_step(run, params, work)
+    run.n = 2 * run.n
+    return h
+
+
+def error_of_state(run: Run, work: Array, h: float) -> float:
+    """Return the error of the state alone, in units of the tolerance."""
+    run.n = run.n // 2
+    error: float = estimate(run, work, h)
+    run.n = 2 * run.n
+    return error
+
+
 # --- loops from tableaux ------------------------------------------------------------------------
 
 
-def stepper_with_few_rows(method: Explicit) -> Stepper:
-    """Return the stepper of a method for devices; it stores no stages."""
-    return _stepper(type(method).__name__, method.order, method.tableau())
+def stepper_with_few_rows(method: Explicit, *, tangent: bool = False) -> Stepper:
+    """Return the stepper of a method for devices; it stores no stages.
+
+    Args:
+        method: The method.
+        tangent: Whether a run carries a tangent: its kernel maps states and parameters, each
+            followed by their directions, to rates followed by their derivatives.
+    Returns:
+        The stepper.
+    """
+    return _stepper(type(method).__name__, method.order, method.tableau(), tangent)
 
 
 @once_for_all
-def _stepper(name: str, order: int, tableau: Tableau) -> Stepper:
+def _stepper(name: str, order: int, tableau: Tableau, tangent: bool) -> Stepper:
     rows, s = Rows.of(tableau), tableau.stages
     # Bitcode in caches belongs to this file, too.
     version = sha256(Path(__file__).read_bytes()).hexdigest()[:12]
-    prefix = f"{name}_few_{digest(order, tableau)}_{version}"
+    prefix = f"{name}_few_{digest(order, tableau)}_{version}{'_tangent' * tangent}"
 
     def weighted(out: int, base: int | None, weights: Array) -> Sum:
         rates = zip(rows.rates, weights.tolist(), strict=False)
@@ -228,6 +307,13 @@ def _stepper(name: str, order: int, tableau: Tableau) -> Stepper:
     )  # fmt: skip
     add_formulas(bindings, len(tableau.errors))
     bindings.add(fill_dense_rows)
+    if tangent:
+        bindings.add(first_step_of_state, name="first_step")
+        bindings.add(error_of_state, name="estimate")
+        bindings.values |= {
+            "unit": unit_with_tangent, "unit_alone": unit_alone_with_tangent,
+            "quaternions_of": places_of,
+        }  # fmt: skip
     hooks = (begin_run, next_end_time, attempt_step, accept_step, write_state)
     return Stepper(
         loops(prefix, Hooks(*map(bindings.add, hooks))),

@@ -7,39 +7,56 @@ structure, the indices of these copies are therefore computed once.
 
 from __future__ import annotations
 
+import numpy as np
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from dataclasses import replace
 from weakref import ref
-
-import numpy as np
-
-from ...common.arrays import Array, read_only
-from ...common.errors import InputError, UnsupportedOperationError
-from ...common.memo import once, recent
+from ...common.arrays import Array
+from ...common.arrays import read_only
+from ...common.errors import InputError
+from ...common.errors import UnsupportedOperationError
+from ...common.memo import once
+from ...common.memo import recent
 from ...forces.force_model import ForceModel
-from ...forces.force_numbers import BaseInSpace, SpanNumbers
+from ...forces.force_numbers import BaseInSpace
+from ...forces.force_numbers import SpanNumbers
 from ...forces.switch_times import time_within
 from ...integrators.methods import Method
 from ...kernels.build import build_kernel
 from ...kernels.closing_code import with_multipliers
-from ...kernels.derived_code import tangent_of, wide_rate
-from ...kernels.evaluate import evaluate, evaluate_row, evaluate_runs
-from ...kernels.initial_conditions import (
-    InitialConditions,
-    InitialConditionsKernel,
-    initial_conditions_kernel,
-)
-from ...kernels.kernel import Kernel, Layout, in_given_order
-from ...reduction.base_parts import into_body, root_of
+from ...kernels.derived_code import tangent_of
+from ...kernels.derived_code import wide_rate
+from ...kernels.evaluate import evaluate
+from ...kernels.evaluate import evaluate_row
+from ...kernels.evaluate import evaluate_runs
+from ...kernels.initial_conditions import InitialConditions
+from ...kernels.initial_conditions import InitialConditionsKernel
+from ...kernels.initial_conditions import initial_conditions_kernel
+from ...kernels.kernel import Kernel
+from ...kernels.kernel import Layout
+from ...kernels.kernel import in_given_order
+from ...reduction.base_parts import into_body
+from ...reduction.base_parts import root_of
 from ...reduction.tree.free_bodies import free_numbers
-from ...scene.initial_state import GivenStates, finite_start
+from ...scene.initial_state import GivenStates
+from ...scene.initial_state import finite_start
 from ...system.coordinates import Indices
-from ...system.state_fields import ShapeState, State
-from ...system.system import System, nominal
-from ..plan import NO_DIFFERENCES, MemberParameters, Plan
-from ..reduced_flow import Sample, entry_name
-
+from ...system.state_fields import ShapeState
+from ...system.state_fields import State
+from ...system.system import System
+from ...system.system import nominal
+from ..plan import NO_DIFFERENCES
+from ..plan import MemberParameters
+from ..plan import Plan
+from ..reduced_flow import Sample
+from ..reduced_flow import entry_name
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+from ...common.compile_ahead import available_processors
+from ...integrators.stepping.compiling import compiled
 
 @dataclass(frozen=True)
 class Constants:
@@ -197,8 +214,7 @@ def _are_copies(
     return all(np.array_equal(a[0], b) for a, b in zip(expected, copies, strict=True))
 
 
-# Number of members that are set up together, limited to bound the memory.
-_AT_ONCE = 512
+_ROWS_OF_ONE_THREAD = 2**12  # number of members whose set-up is worth another thread
 _OUTPUTS_AT_ONCE = 2**15  # Number of outputs per block, few enough to fit into the CPU's cache.
 # Number of kernels that a System keeps.  Their machine code occupies two memory maps each.
 MOST_KERNELS = 16
@@ -547,7 +563,10 @@ def kernel_of(
 
 
 def flows_of(
-    plan: Plan, given: GivenStates, own: MemberParameters = NO_DIFFERENCES
+    plan: Plan,
+    given: GivenStates,
+    own: MemberParameters = NO_DIFFERENCES,
+    threads: int | None = 1,
 ) -> list[tuple[Indices, CompiledFlow]]:
     """Return separate flows for the members with and without angular momentum.
 
@@ -555,44 +574,138 @@ def flows_of(
         plan: The plan of all members.
         given: Initial states of the members, (N, …).
         own: Parameters in which the members differ from the plan.
+        threads: Number of threads, which changes no bit; as many as processors if None.
     Returns:
         (sorted indices of members, their flow) for each of the two cases that has members.
     """
-    members: dict[bool, list[Indices]] = {False: [], True: []}
-    flows: dict[bool, list[CompiledFlow]] = {False: [], True: []}
-    for first in range(0, len(given.x), _AT_ONCE):
-        chunk = slice(first, first + _AT_ONCE)
-        start = _initial_conditions(plan, given[chunk], own[chunk])
-        zeros = ~start.about.any(axis=1) & (not plan.acting.momentum_changes)
-        for zero in (False, True):
-            indices = np.flatnonzero(zeros == zero)
-            if indices.size:
-                conditions = InitialConditions(*(rows[indices] for rows in vars(start).values()))
-                states, parameters = given[chunk][indices], own[chunk][indices]
-                members[zero].append(first + indices)
-                kernel = kernel_of(plan, zero_momentum=zero, generic=parameters.robot is not None)
-                flows[zero].append(_set_up(plan, states, conditions, parameters, kernel))
-    tables, joined = _tables_of(plan) if own.tables is None else own.tables, []
-    for zero, chunks in flows.items():
-        if chunks:
-            indices = np.concatenate(members[zero])
-            of_members = None if tables is None else tables[indices]
-            joined.append((indices, _stacked(chunks, of_members)))
-    return joined
+    conditions = _conditions_kernel(plan, given, own)
+    states = np.concatenate([given.pose, given.x, given.xdot, given.motion], axis=1)
+    values = np.empty((len(states), conditions.size))
+
+    def evaluate_part(part: slice) -> None:
+        numbers = None if own.robot is None else own.robot[part]
+        conditions.evaluate(states[part], numbers, values[part])
+
+    _in_parts(len(states), threads, evaluate_part)
+    zeros = ~values[:, conditions.about].any(axis=1) & (not plan.acting.momentum_changes)
+    flows = []
+    for zero in (False, True):
+        indices = np.flatnonzero(zeros == zero)
+        if indices.size:
+            rows: Any = slice(None) if indices.size == len(states) else indices
+            columns = given[rows], states[rows], values[rows], own[rows]
+            kernel = kernel_of(plan, zero_momentum=zero, generic=own.robot is not None)
+            flows.append((indices, _members_flow(plan, columns, conditions, kernel, threads)))
+    return flows
+
+
+def _members_flow(
+    plan: Plan,
+    columns: tuple[GivenStates, Array, Array, MemberParameters],
+    conditions: InitialConditionsKernel,
+    kernel: Kernel,
+    threads: int | None,
+) -> CompiledFlow:
+    """Return the flow of N members, all with or all without angular momentum.
+
+    Args:
+        plan: The plan of all members.
+        columns: Initial states, also in one array, (N, s), outputs of the initial conditions,
+            (N, o), and parameters in which the members differ from the plan.
+        conditions: Kernel of the initial conditions.
+        kernel: Kernel of the members.
+        threads: Number of threads; as many as processors if None.
+    """
+    given, states, values, own = columns
+    constants, count = _constants(plan, own, kernel), len(states)
+    of_first = Constants(*(a[0] if a.ndim == 2 else a for a in vars(constants).values()))
+    prepared = prepare_start(kernel, given[:1], conditions, of_first)
+    if prepared is None:
+        return _set_up(plan, given, conditions.split(values), own, kernel)
+    tables = _tables_of(plan) if own.tables is None else own.tables
+    shared = prepared.constants[None]
+    if any(a.ndim == 2 for a in vars(constants).values()):
+        numbers = (np.zeros(1), *vars(constants).values())
+        shared = np.concatenate([np.broadcast_to(a, (count, a.shape[-1])) for a in numbers], 1)
+    k, p = prepared.ends
+    arrays = [np.empty((count, size)) for size in (k, p - k, len(prepared.at) - p)]
+    at, finite = prepared.at.astype(np.int64), list[bool]()
+
+    def copy_part(part: slice) -> None:
+        own_numbers = shared if len(shared) == 1 else shared[part]
+        source = np.empty(shared.shape[1] + states.shape[1] + values.shape[1])
+        y0, parameters, path = (a[part] for a in arrays)
+        finite.append(
+            _copy_starts(own_numbers, states[part], values[part], at, source, y0, parameters, path)
+        )
+
+    _in_parts(count, threads, copy_part)
+    if not all(finite):
+        finite_start(*arrays)
+    return CompiledFlow(kernel, tables, *arrays)
+
+
+@compiled
+def _copy_starts(
+    constants: Array,
+    states: Array,
+    values: Array,
+    at: Indices,
+    source: Array,
+    y0: Array,
+    parameters: Array,
+    path: Array,
+) -> bool:
+    """Write reduced states, parameters and paths of members.
+
+    Args:
+        constants: As in PreparedStart, (N, c) or (1, c).
+        states: Initial states, (N, s).
+        values: Outputs of the initial conditions, (N, o).
+        at: Indices of the entries of y0, parameters and path in a row of all these columns.
+        source: Work space for such a row, (c + s + o,).
+        y0: Reduced states, output.
+        parameters: Parameters, output.
+        path: Paths, output.
+    Returns:
+        Whether all numbers are finite.
+    """
+    c, s, total = constants.shape[1], states.shape[1], 0.0
+    k, p = y0.shape[1], parameters.shape[1]
+    for i in range(states.shape[0]):
+        for j in range(c):
+            source[j] = constants[i % constants.shape[0], j]
+        for j in range(s):
+            source[c + j] = states[i, j]
+        for j in range(values.shape[1]):
+            source[c + s + j] = values[i, j]
+        for j in range(k):
+            y0[i, j] = source[at[j]]
+        for j in range(p):
+            parameters[i, j] = source[at[k + j]]
+        for j in range(path.shape[1]):
+            path[i, j] = source[at[k + p + j]]
+        for j in range(at.shape[0]):
+            total += source[at[j]] - source[at[j]]  # NaN for infinities and NaN, else zero
+    return total == 0.0
+
+
+def _in_parts(count: int, threads: int | None, act: Callable[[slice], None]) -> None:
+    """Call a function with parts of `count` rows, each in a thread of its own."""
+    most = available_processors() if threads is None else threads
+    size = max(_ROWS_OF_ONE_THREAD, -(-count // most))
+    parts = [slice(first, min(first + size, count)) for first in range(0, count, size)]
+    if len(parts) == 1:
+        act(parts[0])
+        return
+    with ThreadPoolExecutor(len(parts)) as pool:
+        list(pool.map(act, parts))
 
 
 def has_no_momentum(plan: Plan) -> bool:
     """Return whether the angular momentum of a plan is zero and stays zero."""
     start = _initial_conditions(plan, plan.scene.given, NO_DIFFERENCES)
     return not plan.acting.momentum_changes and not start.about.any()
-
-
-def _stacked(flows: list[CompiledFlow], tables: SpanNumbers | None) -> CompiledFlow:
-    """Merge several flows into one flow with all their members, which have the given tables."""
-    if len(flows) == 1:
-        return flows[0]
-    columns = zip(*((flow.y0, flow.parameters, flow.path) for flow in flows), strict=True)
-    return CompiledFlow(flows[0].kernel, tables, *map(np.concatenate, columns))
 
 
 def _initial_conditions(plan: Plan, given: GivenStates, own: MemberParameters) -> InitialConditions:

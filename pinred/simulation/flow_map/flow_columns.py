@@ -13,15 +13,16 @@ inputs.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from ...common.arrays import Array, as_floats, vectors
 from ...common.errors import InputError, ShapeError
 from ...common.names import brief, listed, nearest
+from ...integrators.methods import Explicit
 from ...kernels.flow_functions import Row, sizes_of
-from .inputs import Inputs
+from .inputs import Given, Inputs
 from .propagator import Propagator
 from .resolved_run import Run
 
@@ -103,7 +104,9 @@ class Columns:
         values = self._split(column)
         return self._vjp(self._run(values, stages=True), values, covector)
 
-    def values(self, *columns: Any, threads: int | None = None) -> Array:
+    def values(
+        self, *columns: Any, threads: int | None = None, device: Literal["cuda"] | None = None
+    ) -> Array:
         """Compute the outputs for N inputs at once, in SIMD lanes if the method has them.
 
         The outputs agree with `value` within round-off times the growth along the flow.
@@ -111,39 +114,122 @@ class Columns:
         Args:
             *columns: Values of the inputs, in their order, (N, its size) or (1, its size) each.
             threads: Number of threads, None for the number of processors.
+            device: "cuda" to integrate on CUDA devices; None for the CPU.
         Returns:
             (N, size).
         Raises:
             ShapeError: An input has the wrong number of axes.
+            InputError: A device does not integrate this flow.
             IntegrationError: A run fails; the message names the first failing run.
         """
+        batches, count = self._batches(columns)
+        if device is not None:
+            self._check_device(device, threads)
+        if not count:
+            return np.zeros((0, self.size))
+        # Lanes store no steps at which loops are checked, and look for no impacts.
+        alone = count == 1 or self.flow.system.loops or self.flow.scene.bounds
+        if alone and device is None:
+            return np.array([self.value(*row) for row in _rows(batches, count)])
+        state, constants, _ = self._inputs_of_many(batches, count, derivatives=False)
+        threads = 1 if threads is None and count <= _RUNS_OF_ONE_THREAD else threads
+        outputs = self._propagator.outputs_of_many(state, constants, threads, device)
+        return np.ascontiguousarray(outputs[..., self._entries].reshape(count, -1))
+
+    def jacobians(
+        self, *columns: Any, threads: int | None = None, device: Literal["cuda"] | None = None
+    ) -> list[Array]:
+        """Compute the derivatives of the output with respect to each input, for N inputs at once.
+
+        With DOP853 and Tsit5, each direction of each run is integrated with the run, on threads of
+        the CPU or of devices.  The derivatives agree with `jacobian` within round-off times the
+        growth along the flow.  Other methods, and flows with closed loops, joint stops, or
+        conditions on time that depend on parameters, run one after another on the CPU.
+
+        Args:
+            *columns: Values of the inputs, in their order, (N, its size) or (1, its size) each.
+            threads: Number of threads, None for the number of processors.
+            device: "cuda" to integrate on CUDA devices; None for the CPU.
+        Returns:
+            (N, size, its size) for each input.
+        Raises:
+            ShapeError: An input has the wrong number of axes.
+            InputError: A device does not integrate this flow.
+            IntegrationError: A run fails, or a derivative is not finite.
+        """
+        batches, count = self._batches(columns)
+        if device is not None:
+            self._check_device(device, threads)
+        total = sum(self.sizes)
+        if not count:
+            derivatives = np.zeros((0, self.size, total))
+        elif device is None and (count == 1 or self._only_alone):
+            alone = [np.hstack(self.jacobian(*row)) for row in _rows(batches, count)]
+            derivatives = np.array(alone)
+        else:
+            state, constants, basis = self._inputs_of_many(batches, count, derivatives=True)
+            by_time = self._propagator.jacobians(
+                state, constants, basis, self._rows, threads, device
+            )
+            derivatives = by_time.reshape(count, self.size, total)
+        return np.split(derivatives, self._cuts, axis=2)
+
+    @property
+    def _only_alone(self) -> str:
+        """The reason to differentiate runs one by one; "" if they can run together."""
+        plan, method = self._propagator.plan, self._propagator.method
+        if self.flow.system.loops:
+            return "closed loops are checked at each step"
+        if self.flow.scene.bounds:
+            return "joints come to rest at their stops at different times"
+        if plan.stops_vary:
+            return "times at which forces switch depend on parameters"
+        return "" if isinstance(method, Explicit) else f"the method is {method.name}"
+
+    def _check_device(self, device: Any, threads: int | None) -> None:
+        """Check that devices integrate this flow.  Raises InputError."""
+        if device != "cuda":
+            raise InputError(f"device: expected None or 'cuda', got {brief(device)}")
+        if threads is not None:
+            raise InputError(
+                f"threads: expected None with a device, got {brief(threads)}. Omit it."
+            )
+        if why := self._only_alone:
+            raise InputError(
+                f"device: expected a flow by DOP853 or Tsit5 whose runs share a kernel, but {why}. "
+                "Omit device, or choose one of these methods"
+            )
+
+    def _batches(self, columns: Sequence[Any]) -> tuple[list[Array], int]:
+        """Return inputs of many runs, (N or 1, size) each, and N.  Raises ShapeError."""
+        if len(columns) != len(self.names):
+            raise InputError(self._describe_count(len(columns)))
         batches = [
             vectors(column, size, name)
             for column, size, name in zip(columns, self.sizes, self.names, strict=True)
         ]
         if any(batch.ndim != 2 for batch in batches):
             raise ShapeError("inputs of many runs must have shape (N, size), or (1, size)")
-        count = _common_count([len(batch) for batch in batches])
-        if not count:
-            return np.zeros((0, self.size))
-        # Lanes store no steps at which loops are checked, and look for no impacts.
-        if count == 1 or self.flow.system.loops or self.flow.scene.bounds:
-            rows = [[batch[k % len(batch)] for batch in batches] for k in range(count)]
-            return np.array([self.value(*row) for row in rows])
-        arguments = [
-            self._inputs.given(
-                {
-                    name: batch[k % len(batch)]
-                    for name, batch in zip(self.names, batches, strict=True)
-                }
-            )
-            for k in range(count)
-        ]
-        state = np.array([argument.state for argument in arguments])
-        constants = np.array([argument.constants for argument in arguments])
-        threads = 1 if threads is None and count <= _RUNS_OF_ONE_THREAD else threads
-        outputs = self._propagator.outputs_of_many(state, constants, threads)
-        return np.ascontiguousarray(outputs[..., self._entries].reshape(count, -1))
+        return batches, _common_count([len(batch) for batch in batches])
+
+    def _inputs_of_many(
+        self, batches: Sequence[Array], count: int, *, derivatives: bool
+    ) -> tuple[Array, Array, tuple[Array, Array]]:
+        """Return states and constants of N inputs, and their derivatives (N or 1, …, inputs)."""
+        by_name = dict(zip(self.names, batches, strict=True))
+        if self._inputs.are_linear:
+            state, constants = self._inputs.linear_columns(by_name, count)
+            by_state, by_constants = self._inputs.basis(self._inputs.own)
+            return state, constants, (by_state[None], by_constants[None])
+        values = [dict(zip(self.names, row, strict=True)) for row in _rows(batches, count)]
+        given = [self._inputs.given(named) for named in values]
+        state = np.array([columns.state for columns in given])
+        constants = np.array([columns.constants for columns in given])
+        if not derivatives:
+            return state, constants, (state[:0], constants[:0])
+        bases = [self._basis(*each) for each in zip(given, values, strict=True)]
+        by_state, by_constants = (np.array(parts) for parts in zip(*bases, strict=True))
+        return state, constants, (by_state, by_constants)
 
     def jacobian(self, *columns: Any) -> list[Array]:
         """Compute the derivatives of the output with respect to each input.
@@ -251,9 +337,9 @@ class Columns:
     def _output(self, run: Run) -> Array:
         return np.asarray(self._propagator.outputs(run)[:, self._entries].ravel())
 
-    def _basis(self, run: Run, values: Mapping[str, Array]) -> tuple[Array, Array]:
+    def _basis(self, given: Given, values: Mapping[str, Array]) -> tuple[Array, Array]:
         """Return derivatives (…, inputs) of the state and constants of a run at these inputs."""
-        state, constants = self._inputs.basis(run.given)
+        state, constants = self._inputs.basis(given)
         if not (self._has_balls and "x0" in values):
             return state, constants
         first = self._spans[self.names.index("x0")].start
@@ -263,7 +349,7 @@ class Columns:
 
     def _jvp(self, run: Run, values: Mapping[str, Array], directions: Array) -> Array:
         """Return the derivatives (size, N) of the output along directions (inputs, N)."""
-        state, constants = self._basis(run, values)
+        state, constants = self._basis(run.given, values)
         derivatives = self._propagator.along(
             run, self._rows, state @ directions, constants @ directions
         )
@@ -273,7 +359,7 @@ class Columns:
         """Return the derivatives (inputs,) of covector · output."""
         covectors = np.ascontiguousarray(covector).reshape(self._times, -1)
         by_state, by_constants = self._propagator.back(run, self._rows, covectors)
-        state, constants = self._basis(run, values)
+        state, constants = self._basis(run.given, values)
         return np.asarray(by_state @ state + by_constants @ constants)
 
 
@@ -281,6 +367,12 @@ def _with_columns(matrix: Array, place: slice, change: Array) -> Array:
     """Return a matrix whose columns at `place` are multiplied by another matrix from the right."""
     columns = [matrix[:, : place.start], matrix[:, place] @ change, matrix[:, place.stop :]]
     return np.hstack(columns)
+
+
+def _rows(batches: Sequence[Array], count: int) -> Iterator[list[Array]]:
+    """Yield the inputs of each of N runs from batches (N, size) or (1, size)."""
+    for k in range(count):
+        yield [batch[k % len(batch)] for batch in batches]
 
 
 def _common_count(counts: Sequence[int]) -> int:

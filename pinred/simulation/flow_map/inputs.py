@@ -15,32 +15,47 @@ of x0 is.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+import casadi as ca
+import numpy as np
+from collections.abc import Collection
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import field
 from functools import cached_property
 from math import isfinite
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
-
-import casadi as ca
-import numpy as np
-
-from ...common.arrays import Array, entries_of, vector
-from ...common.errors import InputError, ShapeError
+from typing import TYPE_CHECKING
+from typing import Any
+from ...common.arrays import Array
+from ...common.arrays import entries_of
+from ...common.arrays import vector
+from ...common.errors import InputError
+from ...common.errors import ShapeError
 from ...common.memo import once
-from ...common.names import brief, listed, nearest
-from ...common.parameter import VectorParameter, by_name, refuse_entry
+from ...common.names import brief
+from ...common.names import listed
+from ...common.names import nearest
+from ...common.parameter import VectorParameter
+from ...common.parameter import by_name
+from ...common.parameter import refuse_entry
 from ...forces.force_model import ForceModel
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers
-from ...scene.initial_state import HeldJoints, closed_rates, closed_shape, order_by_joint
+from ...scene.initial_state import HeldJoints
+from ...scene.initial_state import closed_rates
+from ...scene.initial_state import closed_shape
+from ...scene.initial_state import order_by_joint
 from ...scene.scene import Scene
 from ...scene.stop import stop_numbers
-from ...system.loops.kinematics import loop_jacobian, loop_jacobian_rate
-from ...system.loops.loop_assembly import loop_rates, rate_units
+from ...system.loops.kinematics import loop_jacobian
+from ...system.loops.kinematics import loop_jacobian_rate
+from ...system.loops.loop_assembly import loop_rates
+from ...system.loops.loop_assembly import rate_units
 from ...system.system import System
-from ..robot_columns import RobotColumns, with_own
+from ..robot_columns import RobotColumns
+from ..robot_columns import with_own
 
 if TYPE_CHECKING:
     from ...kernels.initial_conditions import TwistOrMomentum
@@ -359,6 +374,37 @@ class Inputs:
         self._planned.put(x, rates, constants[self._numbers_at])
         state[self._shape_at] = close_inputs(self._system, x, rates, values, self._planned.joints)
         return Given(state, constants, robot, forces, stops, rates)
+
+    @property
+    def are_linear(self) -> bool:
+        """Whether all inputs with derivatives are entries of columns, or added to them."""
+        return not (
+            self._curved
+            or self._planned.joints
+            or self.sizes.keys() & (self._robot_values.keys() | self._stops_at.keys())
+        )
+
+    def linear_columns(self, values: Mapping[str, Array], count: int) -> tuple[Array, Array]:
+        """Return the columns of `count` inputs, with the bits of `given`; see `are_linear`.
+
+        Args:
+            values: Values of inputs by name, (N, size) or (1, size), finite.
+            count: Number of inputs N.
+        Returns:
+            The states, (N, …), and the constants, (N, …).
+        """
+        state, constants = (
+            np.repeat(a[None], count, 0) for a in (self.own.state, self.own.constants)
+        )
+        numbers = constants[:, self._numbers_at]
+        for name, rows in values.items():
+            if name in self._places:
+                state[:, self._places[name]] = rows
+                continue
+            changes = rows - np.atleast_1d(self._values[name])
+            for k in range(changes.shape[1]):
+                numbers += self._slopes[name][:, k] * changes[:, k, None]
+        return state, constants
 
     def _check_names(self, names: Sequence[str], known: Sequence[str]) -> list[str]:
         """Return the names as a list.  Raises InputError if a name is unknown or repeated."""

@@ -6,199 +6,69 @@ Other threads generate the machine code of the derivatives while the flow is int
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+import numpy as np
+from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, ClassVar
-
-import numpy as np
-
-from ...common.arrays import Array, read_only
-from ...common.errors import AccuracyWarning, InputError, IntegrationError
-from ...forces.force_numbers import Tables
+from typing import Any
+from typing import ClassVar
+from ...common.arrays import Array
+from ...common.arrays import read_only
+from ...common.errors import AccuracyWarning
+from ...common.errors import InputError
+from ...common.errors import IntegrationError
 from ...forces.switch_times import time_within
 from ...integrators.integrate import Integration
-from ...integrators.methods import Explicit, Method
-from ...integrators.run_derivatives import (
-    SmoothField,
-    refuse_without_derivatives,
-    run_along,
-    run_back,
-)
+from ...integrators.methods import Explicit
+from ...integrators.methods import Method
+from ...integrators.run_derivatives import SmoothField
+from ...integrators.run_derivatives import refuse_without_derivatives
+from ...integrators.run_derivatives import run_along
+from ...integrators.run_derivatives import run_back
 from ...integrators.solution import Solution
-from ...kernels.derived_code import expect_code, tangent_of
-from ...kernels.evaluate import call_in_batches, call_value, evaluate
-from ...kernels.flow_functions import (
-    Row,
-    initial_conditions_of,
-    outcome_of,
-    rate_of,
-    reference_in,
-    sizes_of,
-)
-from ...kernels.initial_conditions import TwistOrMomentum
-from ...kernels.kernel import Kernel, Outputs, in_given_order
+from ...kernels.derived_code import expect_code
+from ...kernels.derived_code import tangent_of
+from ...kernels.evaluate import call_in_batches
+from ...kernels.evaluate import call_value
+from ...kernels.evaluate import evaluate
+from ...kernels.flow_functions import Row
+from ...kernels.flow_functions import outcome_of
+from ...kernels.flow_functions import rate_of
+from ...kernels.flow_functions import reference_in
+from ...kernels.flow_functions import sizes_of
+from ...kernels.kernel import Outputs
+from ...kernels.kernel import in_given_order
 from ...system.coordinates import Indices
-from ...system.state_fields import Outcome, ShapeState, State, arrays_of, map_arrays
+from ...system.state_fields import Outcome
+from ...system.state_fields import ShapeState
+from ...system.state_fields import State
+from ...system.state_fields import arrays_of
+from ...system.state_fields import map_arrays
 from ...system.system import System
-from ..compiled.code_ahead import expect, expect_cotangents, expect_tangents
-from ..compiled.compiled_flow import CompiledFlow, kernel_of, rate_address
-from ..compiled.integrator import explained, wild_steps
+from ..compiled.code_ahead import expect
+from ..compiled.code_ahead import expect_cotangents
+from ..compiled.code_ahead import expect_tangents
+from ..compiled.compiled_flow import CompiledFlow
+from ..compiled.compiled_flow import kernel_of
+from ..compiled.compiled_flow import rate_address
+from ..compiled.integrator import explained
+from ..compiled.integrator import wild_steps
 from ..members.integrate_members import integrate_members
-from ..plan import Plan, Span, spans_between
-from .inputs import Given, motion_of
+from ..plan import Plan
+from ..plan import Span
+from ..plan import spans_between
+from .inputs import Given
+from .inputs import motion_of
 from .jumps import jumps_of
 from .outcome_adjoint import OutcomeAdjoint
-from .resolved_run import Run, resolve_run
+from .resolved_run import Run
+from .resolved_run import resolve_run
+from ..members.trajectories import Batch
+from .initial_map import InitialMap
 
-
-class InitialMap:
-    """The map from input columns to reduced state, parameters and centre-of-mass path.
-
-    The input columns are the fields of Given: `state` and `constants`, which end with the free-fall
-    acceleration of the centre of mass.  A reduced state without entries is replaced by one zero,
-    because integrators need at least one entry.
-    """
-
-    def __init__(self, kernel: Kernel, motion: TwistOrMomentum, tables: Tables | None) -> None:
-        """Prepare the map.
-
-        Args:
-            kernel: Kernel of the flow.
-            motion: Whether inputs have a body twist ("xi") or a body momentum ("mu").
-            tables: Tables in the forces; None without forces.
-        """
-        self._tables = tables
-        layout, k = kernel.layout, kernel.system.group.linear
-        self._kernel, self._function = kernel, initial_conditions_of(kernel, motion)
-        self._address = self._function.value.address
-        self._cuts = [layout.size, layout.size + layout.gravity_at]
-        self._size, self._fall = self._cuts[1] + 2 * k, k
-        self._hole, self._path = layout.com_path_at - layout.gravity_at, layout.com_path
-
-    def __call__(self, given: Given, t: float = 0.0) -> CompiledFlow:
-        """Return the flow that starts from inputs.
-
-        Args:
-            given: The inputs.
-            t: Start time [s]; the centre-of-mass path is stated at time zero.
-        Returns:
-            The flow.
-        Raises:
-            InputError: The momentum or twist overflows.
-        """
-        constants, fall = self._split(given.constants)
-        outputs = np.empty(self._size)
-        call_value(self._address, given.state, self._with_path(constants, None), outputs)
-        _refuse_overflow(outputs)
-        y, head, start = self._pieces(outputs)
-        path = _moved_back(t, np.concatenate([start, fall]), self._fall)
-        parameters = np.concatenate([head, self._with_path(constants, path)])
-        y0 = y if y.size else np.zeros(1)
-        return CompiledFlow(self._kernel, self._tables, y0, parameters, path)
-
-    def of_many(self, states: Array, constants: Array) -> CompiledFlow:
-        """Return the flow of N inputs, rows of states and constants.  Raises InputError."""
-        other_constants, falls = self._split(constants.T)
-        kernel_constants = np.ascontiguousarray(self._with_path(other_constants, None).T)
-        outputs = evaluate(self._address, kernel_constants, states, self._size)
-        _refuse_overflow(outputs)
-        y, head, start = self._pieces(outputs.T)
-        path = np.vstack([start, falls])
-        parameters = np.vstack([head, self._with_path(other_constants, path)])
-        columns = (np.ascontiguousarray(each.T) for each in (y, parameters, path))
-        return CompiledFlow(self._kernel, self._tables, *columns)
-
-    def expect_along(self) -> None:
-        """Let other threads generate the machine code of `along`."""
-        expect_code(lambda: self._function.tangent)
-
-    def expect_back(self) -> None:
-        """Let other threads generate the machine code of `back`."""
-        expect_code(lambda: self._function.adjoint)
-
-    def along(
-        self, given: Given, state: Array, constants: Array, t: float = 0.0
-    ) -> tuple[Array, Array, Array]:
-        """Return derivatives along N directions of the inputs.
-
-        Args:
-            given: The inputs.
-            state: Directions of the inputs' state, (…, N).
-            constants: Directions of the inputs' constants, (…, N).
-            t: Start time [s].
-        Returns:
-            Derivatives of the reduced state (n, N), the parameters (p, N) and the path (3k, N).
-        """
-        constants, falls = self._split(constants)
-        kernel_constants, directions = self._known(given), self._with_path(constants, None)
-        derivatives = self._function.forward(
-            given.state, kernel_constants, state, directions, self._size
-        )
-        y, head, start = self._pieces(derivatives)
-        path = _moved_back(t, np.vstack([start, falls]), self._fall)
-        parameters = np.vstack([head, self._with_path(constants, path)])
-        return y if len(y) else np.zeros((1, state.shape[1])), parameters, path
-
-    def back(
-        self, given: Given, by_y: Array, by_parameters: Array, by_path: Array
-    ) -> tuple[Array, Array]:
-        """Return the cotangents of the inputs' state and constants.
-
-        Args:
-            given: The inputs.
-            by_y: Cotangent of the reduced state, (n,).
-            by_parameters: Cotangent of the parameters, (p,).
-            by_path: Cotangent of the path, (3k,).
-        Returns:
-            Cotangents of `state` and of `constants`.
-        """
-        size, head = self._cuts[0], self._cuts[1] - self._cuts[0]
-        if self._path:
-            first = head + self._hole
-            by_path = by_path.copy()
-            by_path[: self._path] += by_parameters[first : first + self._path]
-        starts = len(by_path) - self._fall
-        covector = np.concatenate([by_y[:size], by_parameters[:head], by_path[:starts]])
-        state, constants = self._function.reverse(given.state, self._known(given), covector)
-        constants += by_parameters[head:]
-        if self._path:
-            constants = np.delete(constants, np.s_[self._hole : self._hole + self._path])
-        return state, np.concatenate([constants, by_path[starts:]])
-
-    def _pieces(self, out: Array) -> tuple[Array, Array, Array]:
-        """Split outputs into reduced state, first parameters, and position and velocity."""
-        first, second = self._cuts
-        return out[:first], out[first:second], out[second:]
-
-    def _known(self, given: Given) -> Array:
-        return self._with_path(self._split(given.constants)[0], None)
-
-    def _with_path(self, constants: Array, path: Array | None) -> Array:
-        """Insert the path into the constants if forces depend on the path; None inserts zeros."""
-        if not self._path:
-            return constants
-        if path is None:
-            path = np.zeros((self._path, *constants.shape[1:]))
-        return np.concatenate([constants[: self._hole], path, constants[self._hole :]])
-
-    def _split(self, constants: Array) -> tuple[Array, Array]:
-        """Split input constants into the kernel's constants and the free-fall acceleration."""
-        at = len(constants) - self._fall
-        return constants[:at], constants[at:]
-
-
-def _refuse_overflow(out: Array) -> None:
-    if not np.isfinite(out).all():
-        raise InputError("the initial momentum or twist overflows; reduce rates or momentum")
-
-
-def _moved_back(t: float, path: Array, k: int) -> Array:
-    """Return the path (3k, …), stated at time zero, from its position and velocity at time t."""
-    if t == 0.0:
-        return path
-    start, velocity, fall = path[:k], path[k : 2 * k], path[2 * k :]
-    return np.concatenate([start - t * velocity + 0.5 * t**2 * fall, velocity - t * fall, fall])
+_NUMBERS_AT_ONCE = 2**24  # largest number of derivatives that are kept at once
 
 
 class _ReadOnAccess:
@@ -416,7 +286,9 @@ class Propagator:
         )
         return _joined(*rows)
 
-    def outputs_of_many(self, states: Array, constants: Array, threads: int | None) -> Array:
+    def outputs_of_many(
+        self, states: Array, constants: Array, threads: int | None, device: str | None = None
+    ) -> Array:
         """Compute the kernel's outputs at many inputs, in SIMD lanes if the method supports lanes.
 
         The results agree with `outputs` within round-off times the growth along the flow.
@@ -425,42 +297,109 @@ class Propagator:
             states: State of the inputs, (N, …), as in Given.
             constants: Constants of the inputs, (N, …), as in Given.
             threads: Number of threads; as many as processors if None.
+            device: "cuda" to integrate on CUDA devices, None for the CPU.
         Returns:
             (N, T, ·): the outputs at the report times.
         Raises:
             InputError: An initial momentum or twist overflows.
             IntegrationError: The integration of a member fails.
         """
-        flow, kernel, count = self.initial.of_many(states, constants), self.kernel, len(states)
-        plan = self.plan
-        batch = integrate_members(flow, plan, np.arange(count), threads)
-        if batch.failures:
-            failure = min(batch.failures, key=lambda failure: failure.member)
-            raise IntegrationError(
-                f"member {failure.member} of {count} stopped at t = {failure.time:g} s: "
-                f"{failure.reason}"
-            )
-        T = len(plan.scene.report_times)
-        times = np.tile(plan.scene.report_times, count)
-        inputs = batch.y[:, :, : kernel.layout.size].reshape(count * T, kernel.layout.size)
-        if not kernel.layout.clock:
-            inputs = np.hstack([inputs, times[:, None]])
+        flow, count = self.initial.of_many(states, constants), len(states)
+        batch = integrate_members(flow, self.plan, np.arange(count), threads, device=device)
+        _refuse_failures(batch, count)
+        outputs = self._outputs_at(*self._points(flow, batch.y))
+        return outputs.reshape(count, -1, self.kernel.where.size)
+
+    def jacobians(
+        self,
+        states: Array,
+        constants: Array,
+        directions: tuple[Array, Array],
+        rows: tuple[Row, ...],
+        threads: int | None,
+        device: str | None,
+    ) -> Array:
+        """Compute derivatives of outputs at many inputs, each direction with a run of its own.
+
+        Args:
+            states: State of the inputs, (N, …), as in Given.
+            constants: Constants of the inputs, (N, …), as in Given.
+            directions: D directions of both, (N, …, D), or (1, …, D) for all inputs.
+            rows: Names of the outputs.
+            threads: Number of threads; as many as processors if None.
+            device: "cuda" to integrate on CUDA devices, None for the CPU.
+        Returns:
+            (N, T, rows, D).
+        Raises:
+            InputError: An initial momentum or twist overflows.
+            IntegrationError: The integration of a member fails, or a derivative is not finite.
+        """
+        N, D, T = len(states), directions[0].shape[2], len(self.plan.scene.report_times)
+        most = max(1, _NUMBERS_AT_ONCE // (max(D, 1) * T * (2 * self._n + self._size(rows))))
+        if most < N:
+            parts = [slice(first, first + most) for first in range(0, N, most)]
+            return np.concatenate([
+                self.jacobians(
+                    states[part], constants[part],
+                    tuple(a if len(a) == 1 else a[part] for a in directions),  # type: ignore[arg-type]
+                    rows, threads, device,
+                )
+                for part in parts
+            ])  # fmt: skip
+        if not D:
+            return np.zeros((N, T, self._size(rows), 0))
+        flow = self.initial.of_many(states, constants)
+        y, parameters, path = self.initial.along_many(states, constants, directions)
+        y0 = flow.y0 if flow.y0.shape[1] else np.zeros((N, 1))
+        joined = CompiledFlow(
+            self.kernel,
+            flow.tables,
+            _with_directions(y0, y),
+            _with_directions(flow.parameters, parameters),
+            np.repeat(flow.path, D, axis=0),
+        )
+        batch = integrate_members(
+            joined, self.plan, np.arange(N * D), threads, device=device, tangent=True
+        )
+        _refuse_failures(batch, N, D)
+        both = batch.y.reshape(N, D, T, 2, -1)
+        inputs, numbers = self._points(flow, both[:, 0, :, 0])
+        outputs = self._outputs_at(inputs, numbers)
+        layout = self.kernel.layout
+        times = np.tile(self.plan.scene.report_times, N)[:, None]
+        a = np.hstack([inputs[:, : layout.size], times, reference_in(self.kernel, outputs)])
+        da = np.zeros((N * T, a.shape[1], D))
+        tangents = np.moveaxis(both[:, :, :, 1], 1, 3)[:, :, : layout.size]
+        da[:, : layout.size] = tangents.reshape(N * T, -1, D)
+        db = np.repeat(np.concatenate([parameters, path], axis=1), T, axis=0)
+        slopes = outcome_of(self.kernel, rows).forward_many(a, numbers, da, db, self._size(rows))
+        return self._finite(slopes)[0].reshape(N, T, -1, D)
+
+    def _points(self, flow: CompiledFlow, y: Array) -> tuple[Array, Array]:
+        """Return the inputs of outputs, (N T, …), and their constants, of reduced states (N, T, ·).
+
+        The inputs are the reduced state, and the time unless the state contains it.
+        """
+        layout, plan, (N, T, _) = self.kernel.layout, self.plan, y.shape
+        inputs = y[:, :, : layout.size].reshape(N * T, layout.size)
+        if not layout.clock:
+            inputs = np.hstack([inputs, np.tile(plan.scene.report_times, N)[:, None]])
         parameters = np.repeat(flow.parameters, T, axis=0)
         if plan.forces is not None:
-            reports = plan.scene.report_times
+            runs = flow.numbers if plan.stops_vary else flow.numbers[:1]  # others have equal stops
             within = [
                 time_within(span.start, span.stop)
-                for stops in plan.stops_of_runs(flow.numbers)
-                for span in spans_between(stops, reports)
+                for stops in plan.stops_of_runs(runs)
+                for span in spans_between(stops, plan.scene.report_times)
                 for _ in range(len(span.times))
             ]
             numbers = parameters[:, flow.numbers_at]
-            plan.forces.set_span(numbers, np.array(within))
-        path = np.repeat(flow.path, T, axis=0)
-        rows_of_outputs = evaluate(
-            kernel.outputs.address, np.hstack([parameters, path]), inputs, kernel.where.size
-        )
-        return rows_of_outputs.reshape(count, T, kernel.where.size)
+            plan.forces.set_span(numbers, np.resize(within, N * T))
+        return inputs, np.hstack([parameters, np.repeat(flow.path, T, axis=0)])
+
+    def _outputs_at(self, inputs: Array, constants: Array) -> Array:
+        """Return the kernel's outputs at the points of `_points`."""
+        return evaluate(self.kernel.outputs.address, constants, inputs, self.kernel.where.size)
 
     def entries(self, rows: Iterable[Outcome]) -> Indices:
         """Return the indices, among the kernel's outputs, of fields of State."""
@@ -703,6 +642,24 @@ class Propagator:
     def _size(self, rows: tuple[Row, ...]) -> int:
         sizes = sizes_of(self.plan.system)
         return sum(sizes[row] for row in rows)
+
+
+def _with_directions(columns: Array, directions: Array) -> Array:
+    """Append each of D directions (N, n, D) to rows (N, n): (N D, 2 n)."""
+    N, n, D = directions.shape
+    both = np.empty((N, D, 2, n))
+    both[:, :, 0], both[:, :, 1] = columns[:, None], np.moveaxis(directions, 2, 1)
+    return both.reshape(N * D, 2 * n)
+
+
+def _refuse_failures(batch: Batch, count: int, runs: int = 1) -> None:
+    """Raise IntegrationError if one of `count` members fails, each of which has several runs."""
+    if batch.failures:
+        failure = min(batch.failures, key=lambda failure: failure.member)
+        raise IntegrationError(
+            f"member {failure.member // runs} of {count} stopped at t = {failure.time:g} s: "
+            f"{failure.reason}"
+        )
 
 
 def _joined(*parts: Array) -> Array:

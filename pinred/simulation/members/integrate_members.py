@@ -38,6 +38,8 @@ def integrate_members(
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
     device: str | None = None,
+    *,
+    tangent: bool = False,
 ) -> Batch:
     """Integrate members of a plan from stop to stop with one kernel.
 
@@ -48,29 +50,39 @@ def integrate_members(
         threads: Number of threads; as many as processors if None.
         progress: Called repeatedly with the completed fraction of the time, 0 to 1.
         device: "cuda" to integrate on a CUDA device, None for the CPU.
+        tangent: Whether the states and the parameters of `flow` are followed by their tangents
+            along one direction for each member.
     Returns:
-        The solutions of all members.
+        The solutions of all members, in which tangents follow states, too.
     """
     began, reports, count = perf_counter(), plan.scene.report_times, len(members)
     method, stops, vary = _stops_of_members(plan, flow.numbers, flow.tables)
     # A single body that only translates has no state; integrate one zero instead.
     states = flow.y0.copy() if flow.y0.shape[1] else np.zeros((count, 1))
-    y = np.full((count, len(reports), states.shape[1]), np.nan)
     status, entry, steps, evaluations = (np.zeros(count, np.int64) for _ in range(4))
-    end, last = np.zeros(count), max(map(len, stops))
+    end, last = np.zeros(count), max(map(len, stops if vary else stops[:1]))
+    is_whole = last == 1 and not vary  # then there is one span, whose states are those of all runs
+    y = np.full((0 if is_whole else count, len(reports), states.shape[1]), np.nan)
     for k in range(last):
         done = None if progress is None else _scaled(progress, k, last)
         for runs in _together(plan, stops, status, k, vary=vary):
             own = [stops[i] for i in runs] if vary else stops[:1]
             # Copy the rows only if some members are left out: they are most of the memory.
             rows = slice(None) if len(runs) == count else runs
-            piece, part = _piece(own, k, reports), flow if len(runs) == count else flow[runs]
+            part = flow if len(runs) == count else flow[runs]
+            piece = _piece(own, k, reports, ends=k + 1 < last)
             initial = states[rows]
             if device is None:
-                solutions = _integrate_piece(part, method, piece, initial, threads, done)
+                integrate = _integrate_tangents if tangent else _integrate_piece
+                solutions = integrate(part, method, piece, initial, threads, done)
             else:
-                solutions = _integrate_on_device(part, method, piece, initial, done)
-            _store(y, runs, piece, solutions)
+                solutions = _integrate_on_device(
+                    part, method, piece, initial, done, tangent=tangent
+                )
+            if is_whole:  # singular shapes of closed loops end the states of members later
+                y = solutions.y.copy() if flow.system.loops else solutions.y
+            else:
+                _store(y, runs, piece, solutions)
             status[runs], entry[runs] = solutions.status, solutions.entry
             steps[runs] += solutions.steps
             evaluations[runs] += solutions.evaluations
@@ -83,7 +95,8 @@ def integrate_members(
     for j in np.flatnonzero(status).tolist():
         reason = STATUS[int(status[j])]
         if entry[j] >= 0:
-            reason = f"{flow.entry_name(int(entry[j]))} is {reason}"
+            before, at = divmod(int(entry[j]), states.shape[1] // (1 + tangent))
+            reason = f"{'a derivative of ' * before}{flow.entry_name(at)} is {reason}"
         failures.append(Failure(int(members[j]), float(end[j]), reason))
     unchecked = [] if plan.method.adaptive else alive.tolist()
     wild = ((j, wild_steps(flow.kernel, plan, y[j], reports)) for j in unchecked)
@@ -108,8 +121,8 @@ class _Piece:
         stop: End times, (N,) [s].
         first: Index of the first report time in each span, (N,).
         reported: Mask of the columns of `times` that are report times, (N, W).
-        times: Report times, then the stop, counted from the start of each span; infinity in
-            columns that a span does not need, (N, W) [s].
+        times: Report times, then the stop if a span follows, counted from the start of each span;
+            infinity in columns that a span does not need, (N, W) [s].
     """
 
     start: Array
@@ -119,17 +132,27 @@ class _Piece:
     times: Array
 
 
-def _piece(stops: list[Array], k: int, reports: Array) -> _Piece:
-    """Return span k of runs with stops; a report time at a stop belongs to the span before it."""
+def _piece(stops: list[Array], k: int, reports: Array, *, ends: bool) -> _Piece:
+    """Return span k of runs with stops; a report time at a stop belongs to the span before it.
+
+    Args:
+        stops: Stops of each run [s].
+        k: Index of the span.
+        reports: Report times, (T,) [s].
+        ends: Whether the states at the stops are needed, too.
+    Returns:
+        The span.
+    """
     stop = np.array([own[k] for own in stops])
     start = np.array([own[k - 1] for own in stops]) if k else np.zeros(len(stops))
     first = np.searchsorted(reports, start, side="right") if k else np.zeros(len(stops), int)
     counts = np.searchsorted(reports, stop, side="right") - first
-    columns = np.arange(counts.max() + 1)
+    columns = np.arange(counts.max() + ends)
     reported = columns < counts[:, None]
     index = np.minimum(first[:, None] + columns, len(reports) - 1)
     times = np.where(reported, reports[index] - start[:, None], np.inf)
-    times[np.arange(len(stops)), counts] = stop - start
+    if ends:
+        times[np.arange(len(stops)), counts] = stop - start
     return _Piece(start, stop, first, reported, times)
 
 
@@ -220,19 +243,44 @@ def _integrate_piece(
     )  # fmt: skip
 
 
+def _integrate_tangents(
+    flow: CompiledFlow,
+    method: Method,
+    piece: _Piece,
+    y0: Array,
+    threads: int | None,
+    progress: Callable[[float], None] | None,
+) -> Solutions:
+    """Integrate members with tangents from y0 (N, 2 k), as `_integrate_on_device` does."""
+    from ...kernels.device.few_rows import stepper_with_few_rows
+    from ...kernels.flow_functions import rate_of
+
+    assert isinstance(method, Explicit), "callers refuse others"
+    parameters, lengths, times = _inputs(flow, piece)
+    return integrate_many(
+        method, rate_of(flow.kernel).joined.address, parameters, y0, lengths, times,
+        flow.kernel.layout.quaternions, threads, progress=progress,
+        stepper=stepper_with_few_rows(method, tangent=True),
+    )  # fmt: skip
+
+
 def _integrate_on_device(
     flow: CompiledFlow,
     method: Method,
     piece: _Piece,
     y0: Array,
     progress: Callable[[float], None] | None,
+    *,
+    tangent: bool,
 ) -> Solutions:
     """Integrate members from y0 (N, k) on CUDA devices, each over one time span."""
     from ...kernels.device.device_code import integrate_on_device
 
     assert isinstance(method, Explicit), "`check_device` refuses others"
     parameters, lengths, times = _inputs(flow, piece)
-    return integrate_on_device(method, flow.kernel, parameters, y0, lengths, times, progress)
+    return integrate_on_device(
+        method, flow.kernel, parameters, y0, lengths, times, progress, tangent=tangent
+    )
 
 
 def _inputs(flow: CompiledFlow, piece: _Piece) -> tuple[Array, Array | float, Array]:
