@@ -19,36 +19,26 @@ adjoint of a sum over lanes is added to all lanes.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import Any
+
 import casadi as ca
 import numpy as np
-from collections.abc import Callable
-from dataclasses import dataclass
-from dataclasses import field
-from functools import cached_property
-from functools import partial
-from typing import Any
-from ..common.arrays import Array
-from ..common.arrays import central_differences
-from ..common.errors import InputError
-from ..common.errors import KernelMismatch
+
+from ..common.arrays import Array, central_differences
+from ..common.errors import InputError, KernelMismatch
 from ..common.machine_code import NativeCode
 from ..integrators.stepping.kernel_call import SEEDS
-from ..reduction.tree.identical_branches import Lanes
-from ..reduction.tree.identical_branches import Mark
-from ..reduction.tree.scalars import Scalar
-from ..reduction.tree.scalars import add
-from ..reduction.tree.scalars import mul
-from .derived_code import derived_code
-from .derived_code import round_off_near
-from .evaluate import call_forward
-from .evaluate import call_in_batches
-from .evaluate import call_reverse
-from .evaluate import call_value
+from ..reduction.tree.identical_branches import Lanes, Mark
+from ..reduction.tree.scalars import Scalar, add, mul
+from .derived_code import derived_code, round_off_near
+from .evaluate import call_forward, call_in_batches, call_reverse, call_value
 from .kernel import Kernel
 from .machine.native import compile_object
 from .reduced_graph import ReducedGraph
-from .validation import ROUND_OFF
-from .validation import require_agreement
+from .validation import ROUND_OFF, require_agreement
 
 _STEP = 1e-3  # step of the finite differences, relative to the sizes of the columns
 _TOLERANCE = 1e-7  # tolerance of directional derivatives, relative to the terms that sum to them
@@ -439,6 +429,7 @@ def _adjoint(f: ca.Function) -> ca.Function:
     derivatives = ca.jtimes(f(a, b), both, covector, True)
     return ca.Function("adjoint", [a, b, covector], [ca.densify(derivatives)], {"cse": True})
 
+
 def _in_lanes(directions: Array, batches: int) -> Array:
     """Arrange directions (N, n, D) in the layout of tangent kernels, (N, batches, n SEEDS)."""
     points, n, count = directions.shape
@@ -446,7 +437,6 @@ def _in_lanes(directions: Array, batches: int) -> Array:
     padded[..., :count] = directions
     by_batch = padded.reshape(points, n, batches, SEEDS).transpose(0, 2, 1, 3)
     return np.ascontiguousarray(by_batch).reshape(points, batches, n * SEEDS)
-
 
 
 @dataclass

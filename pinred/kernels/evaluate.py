@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-import numpy as np
 from collections.abc import Iterator
+
+import numpy as np
+
 from ..common.arrays import Array
 from ..integrators.stepping.compiling import compiled
-from ..integrators.stepping.kernel_call import SEEDS
-from ..integrators.stepping.kernel_call import call
-from ..integrators.stepping.kernel_call import call_adjoint
-from ..integrators.stepping.kernel_call import call_slopes
-from ..integrators.stepping.kernel_call import call_tangent
-from ..integrators.stepping.kernel_call import from_lanes
-from ..integrators.stepping.kernel_call import to_lanes
+from ..integrators.stepping.kernel_call import (
+    SEEDS,
+    call,
+    call_adjoint,
+    call_slopes,
+    call_tangent,
+    from_lanes,
+    to_lanes,
+)
+
 
 def evaluate(
     address: int, parameters: Array, y: Array, size: int, out: Array | None = None

@@ -11,51 +11,49 @@ those of the run without a tangent.
 
 from __future__ import annotations
 
-import numpy as np
 from collections.abc import Iterator
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
+
+import numpy as np
+
 from ...common.arrays import Array
 from ...common.memo import once_for_all
-from ...integrators.explicit.row_programs import Rate
-from ...integrators.explicit.row_programs import Sum
-from ...integrators.explicit.row_programs import row_program
-from ...integrators.explicit.runge_kutta import accept_step
-from ...integrators.explicit.runge_kutta import begin_run
-from ...integrators.explicit.runge_kutta import digest
-from ...integrators.explicit.runge_kutta import fill_dense_rows
-from ...integrators.explicit.runge_kutta import next_end_time
-from ...integrators.explicit.step_formulas import SCALAR
-from ...integrators.explicit.step_formulas import add_formulas
-from ...integrators.explicit.step_formulas import dense_value
-from ...integrators.explicit.step_formulas import next_step
+from ...integrators.explicit.row_programs import Rate, Sum, row_program
+from ...integrators.explicit.runge_kutta import (
+    accept_step,
+    begin_run,
+    digest,
+    fill_dense_rows,
+    next_end_time,
+)
+from ...integrators.explicit.step_formulas import SCALAR, add_formulas, dense_value, next_step
 from ...integrators.explicit.tableau import Tableau
 from ...integrators.methods.method import Explicit
-from ...integrators.stepping.compiling import Bindings
-from ...integrators.stepping.compiling import bind_globals
-from ...integrators.stepping.compiling import inlined
-from ...integrators.stepping.compiling import unbound
-from ...integrators.stepping.run_state import DENSE
-from ...integrators.stepping.run_state import DONE
-from ...integrators.stepping.run_state import STEP
-from ...integrators.stepping.run_state import Run
-from ...integrators.stepping.run_state import copy_an_end
-from ...integrators.stepping.run_state import quaternions_of
-from ...integrators.stepping.run_state import reject_step
-from ...integrators.stepping.state_rows import NEW
-from ...integrators.stepping.state_rows import Y
-from ...integrators.stepping.state_rows import first_not_finite
-from ...integrators.stepping.state_rows import padded_rows
-from ...integrators.stepping.state_rows import unit_alone
-from ...integrators.stepping.step_loop import Hooks
-from ...integrators.stepping.step_loop import Stepper
-from ...integrators.stepping.step_loop import loops
-from typing import TypeAlias
-from ...integrators.stepping.replay import across
-from ...integrators.stepping.state_rows import first_entries
-from ...integrators.stepping.state_rows import inverse_length
+from ...integrators.stepping.compiling import Bindings, bind_globals, inlined, unbound
+from ...integrators.stepping.run_state import (
+    DENSE,
+    DONE,
+    STEP,
+    Run,
+    copy_an_end,
+    quaternions_of,
+    reject_step,
+)
+from ...integrators.stepping.state_rows import (
+    NEW,
+    Y,
+    across,
+    first_entries,
+    first_not_finite,
+    inverse_length,
+    padded_rows,
+    unit_alone,
+)
+from ...integrators.stepping.step_loop import Hooks, Stepper, loops
+
 
 @dataclass(frozen=True)
 class Rows:
