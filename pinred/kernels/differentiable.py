@@ -34,7 +34,7 @@ from ..integrators.stepping.kernel_call import SEEDS
 from ..reduction.tree.identical_branches import Lanes, Mark
 from ..reduction.tree.scalars import Scalar, add, mul
 from .derived_code import derived_code, round_off_near
-from .evaluate import call_forward, call_in_batches, call_reverse, call_value
+from .evaluate import call_at_each, call_forward, call_in_batches, call_reverse, call_value
 from .kernel import Kernel
 from .machine.native import compile_object
 from .reduced_graph import ReducedGraph
