@@ -18,8 +18,8 @@ from ..reduction.potential import broken_by_gravity
 from ..reduction.symmetric_balls import SymmetricBall, symmetric_balls
 from ..scene.file_forces import actuators_left_out, passive_left_out
 from ..scene.scene import Scene
-from ..simulation.explain import skipped
 from ..simulation.plan import plan_of
+from ..simulation.simulate import skipped
 from ..system.hinge_triples import hinge_triples
 from ..system.loops.loop_assembly import CLOSED, assemble
 from ..system.merge_hinges import actions_of, coupled_joints

@@ -118,7 +118,7 @@ def motion_in(path: str, robot: str | None) -> MotionSource:
 
     file = read_scene_file(path)
     if file.phases:
-        from ..simulation.contact.chain_file import run_phases
+        from ..simulation.contact.chain import run_phases
 
         return run_phases(file, progress=True)
     return simulate(file.scene, engine=file.engine, check=file.check, progress=True)

@@ -13,8 +13,7 @@ from .command_options import add_options, option_adder, options_in
 
 if TYPE_CHECKING:
     from ..scene.toml.schema import Key
-    from ..simulation.contact.capture import Capture, Release
-    from ..simulation.contact.landing import Landing
+    from ..simulation.contact.capture import Capture, Landing, Release
     from ..system.system import System
     from ..views.motion_source import MotionSource
 
@@ -80,7 +79,7 @@ def add_land_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_land(arguments: argparse.Namespace) -> int:
     """Print the landing.  Returns 0, or the verdict of --compare."""
-    from ..simulation.contact.landing import land
+    from ..simulation.contact.capture import land
 
     _check_after(arguments)
     motion = _motion_before(arguments.motion)

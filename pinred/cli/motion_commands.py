@@ -95,10 +95,9 @@ def run_run(arguments: argparse.Namespace) -> int:
     from ..common.files import check_path
     from ..scene.initial_state import large_angles
     from ..scene.toml.reader import read_scene_file
-    from ..simulation.explain import explain
     from ..simulation.over_time import FOLDERS, SUFFIXES
     from ..simulation.plan import plan_of
-    from ..simulation.simulate import as_scene, simulate
+    from ..simulation.simulate import as_scene, explain_plan, simulate
 
     file = read_scene_file(arguments.scene)
     if file.phases:
@@ -109,7 +108,7 @@ def run_run(arguments: argparse.Namespace) -> int:
     engine, check = arguments.engine or file.engine, bool(arguments.check or file.check)
     checkpoint = arguments.checkpoint or file.checkpoint
     plan = plan_of(scene)
-    explanation = explain(plan)  # This also verifies that the scene can be simulated.
+    explanation = explain_plan(plan)  # This also verifies that the scene can be simulated.
     if scene.bounds:
         from ..simulation.stop_engines import refuse_with_stops
 
@@ -133,10 +132,10 @@ def run_run(arguments: argparse.Namespace) -> int:
 def _run_phases(arguments: argparse.Namespace, file: SceneFile) -> int:
     """Run a file with several phases.  Returns 0, or 1 or 3 if a comparison does not pass."""
     from ..common.files import check_path
-    from ..simulation.contact.chain_file import run_phases
-    from ..simulation.explain import explain
+    from ..simulation.contact.chain import run_phases
     from ..simulation.over_time import FOLDERS, SUFFIXES
     from ..simulation.plan import plan_of
+    from ..simulation.simulate import explain_plan
 
     for name in ("parameters", "checkpoint"):
         if getattr(arguments, name):
@@ -150,7 +149,7 @@ def _run_phases(arguments: argparse.Namespace, file: SceneFile) -> int:
         return 0
     path = None if arguments.out is None else check_path(arguments.out, SUFFIXES, folders=FOLDERS)
     chain = run_phases(file, engine=arguments.engine, check=bool(arguments.check), progress=True)
-    print(summary_of_chain(chain, explain if arguments.explain else None))
+    print(summary_of_chain(chain, explain_plan if arguments.explain else None))
     if path is not None:
         chain.save(path)
         print(describe_file(path))
@@ -176,7 +175,7 @@ def summary_of_chain(chain: Chain, explain: Callable[[Plan], object] | None = No
 
 def summary_of_run(traj: Trajectory) -> str:
     """Return a short table of the results of a simulation."""
-    from ..simulation.explain import integrated
+    from ..simulation.simulate import integrated
 
     scene, run = traj.scene, traj.run
     lines = [

@@ -21,9 +21,8 @@ import pinocchio as pin
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..reduction.inertia_split import symmetric
-from ..simulation.contact.capture import Capture, Release
+from ..simulation.contact.capture import Capture, Landing, Release
 from ..simulation.contact.chain import Chain, Impact
-from ..simulation.contact.landing import Landing
 from ..system.derived_systems import Instant
 from ..system.loops.kinematics import LoopKinematics
 from ..system.system import System

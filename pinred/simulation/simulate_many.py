@@ -18,7 +18,6 @@ from ..scene.scene import Scene
 from ..scene.scene_options import SceneOptions
 from ..system.system import System, checked_system
 from .compiled.code_ahead import expect_members
-from .members.member_groups import Group, Members, of_scenes
 from .members.member_options import (
     INVALID,
     Invalid,
@@ -27,6 +26,7 @@ from .members.member_options import (
     warn_of_rejected,
 )
 from .members.trajectories import Batch, Failure, Trajectories
+from .plan import Group, Members, of_scenes
 from .simulate import free_joints_notice, trajectory_of
 from .trajectory import Trajectory
 

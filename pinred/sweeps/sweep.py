@@ -22,7 +22,7 @@ from ..common.waiting import Progress, say, shown
 from ..common.zarr_folders import import_zarr
 from ..scene.scene import Scene
 from ..scene.scene_options import BLOCK, SAMPLERS, Sampler
-from ..simulation.members.member_groups import Group, members_plan
+from ..simulation.plan import Group, members_plan
 from ..simulation.simulate_many import check_device
 from .distributions import Distribution, Listed, parse_distribution
 from .samplers import MOST_SOBOL, PointSequence, grid_size

@@ -14,7 +14,7 @@ import numpy as np
 from ..common.version import __version__
 from ..kernels.build import model_bytes
 from ..scene.scene import Scene
-from ..simulation.members.member_groups import members_plan
+from ..simulation.plan import members_plan
 from .sweep_job import SweepJob
 
 FORMAT = 2  # Version of the files of a store; those of 1 have no checksums.

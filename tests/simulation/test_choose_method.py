@@ -18,8 +18,7 @@ from pinred.judge.reference_solution import FullState
 from pinred.laboratory.bench.method_choice import held_robot
 from pinred.signals import Hold
 from pinred.simulation.choose_method import LANES_GAIN, Choice, radau_gain, rates_near_rest
-from pinred.simulation.members.member_groups import members_plan
-from pinred.simulation.plan import plan_of
+from pinred.simulation.plan import members_plan, plan_of
 
 
 def scene(system: pinred.System, **options: Any) -> pinred.Scene:

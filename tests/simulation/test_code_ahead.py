@@ -29,7 +29,7 @@ from pinred.integrators.stepping.argument_types import argument_type, plain_valu
 from pinred.integrators.stepping.compiled_function import CompiledFunction
 from pinred.integrators.stepping.kernel_call import from_lanes
 from pinred.simulation.compiled import code_ahead
-from pinred.simulation.compiled.divided_code import divide
+from pinred.simulation.compiled.code_ahead import divide
 
 FOLDER = shipped_code.FOLDER
 TWO_FUNCTIONS = """
@@ -108,7 +108,7 @@ def bodies(assembly: str) -> dict[str, list[str]]:
 
 def test_parts_of_a_module_call_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """An archive of object codes is loaded like one object code."""
-    monkeypatch.setattr("pinred.simulation.compiled.divided_code._LENGTH", 1)
+    monkeypatch.setattr("pinred.simulation.compiled.code_ahead._LENGTH", 1)
     texts = divide(llvm.parse_assembly(TWO_FUNCTIONS, llvm.create_context()))
     assert len(texts) == 2
     codes = [
@@ -121,7 +121,7 @@ def test_parts_of_a_module_call_each_other(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_longest_part_is_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """The thread that compiles first should not wait for the longest part at the end."""
-    monkeypatch.setattr("pinred.simulation.compiled.divided_code._LENGTH", 1)
+    monkeypatch.setattr("pinred.simulation.compiled.code_ahead._LENGTH", 1)
     lengths = [len(t) for t in divide(llvm.parse_assembly(TWO_FUNCTIONS, llvm.create_context()))]
     assert lengths == sorted(lengths, reverse=True)
 

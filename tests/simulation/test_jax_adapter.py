@@ -16,7 +16,7 @@ from twelve_gains import OTHER, OWN, assert_same_bits, flow_pair
 import pinred
 from pinred import InputError, ShapeError
 from pinred.common.arrays import Array
-from pinred.simulation.flow_map import xla_call
+from pinred.simulation.flow_map import jax_adapter
 from pinred.simulation.flow_map.flow_columns import Columns
 
 jax: Any = pytest.importorskip("jax")
@@ -78,14 +78,14 @@ def test_vmap_is_one_call(columns: Columns, monkeypatch: pytest.MonkeyPatch) -> 
     function = flow_of().jax()
     entries: list[int] = []
     for number in range(3):
-        k = max(xla_call._functions) - number
-        real = xla_call._functions[k]
+        k = max(jax_adapter._functions) - number
+        real = jax_adapter._functions[k]
 
         def entered(given: Any, out: Any, _k: int = k, _real: Any = real) -> None:
             entries.append(_k)
             _real.many(given, out)
 
-        monkeypatch.setitem(xla_call._functions, k, replace(real, many=entered))
+        monkeypatch.setitem(jax_adapter._functions, k, replace(real, many=entered))
 
     def of(x: Any) -> Any:
         return function(x, *AT[1:])

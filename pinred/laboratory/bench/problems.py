@@ -22,8 +22,7 @@ from ...judge.reference_solution import FullState
 from ...scene.initial_state import random_state
 from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow, flows_of
-from ...simulation.members.member_groups import of_scenes
-from ...simulation.plan import plan_of
+from ...simulation.plan import of_scenes, plan_of
 from ...system.coordinates import InitialState
 from ...system.load import load
 from ...system.robot_files import INSTALL_ROBOTS, bundled_robots, has_example_robots

@@ -42,10 +42,10 @@ from ..robot_columns import without_own
 from ..run_with_stops import Phase, StoppedMotion, locked_scene, margin_of
 from ..simulate import trajectory_of
 from ..trajectory import Trajectory
+from .flow_run import Run
 from .inputs import Given, motion_of, stop_numbers_of
 from .jumps import Contact, ImpactJump, Jump, Side, Slots, StopInputs, jump_between, jump_of
 from .propagator import Propagator
-from .resolved_run import Run
 
 _DEGREE = 8  # Degree of the polynomials that describe gaps within a step.
 _REAL = 1e-9  # Imaginary part of a real root, relative to the step.

@@ -47,10 +47,9 @@ from ..compiled.compiled_flow import CompiledFlow, kernel_of, rate_address, read
 from ..compiled.integrator import explained, wild_steps
 from ..members.integrate_members import integrate_members
 from ..plan import Plan, Span, spans_between
+from .flow_run import OutcomeAdjoint, Run, resolve_run
 from .inputs import Given, motion_of
 from .jumps import jumps_of
-from .outcome_adjoint import OutcomeAdjoint
-from .resolved_run import Run, resolve_run
 
 
 class InitialMap:

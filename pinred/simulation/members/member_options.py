@@ -49,10 +49,9 @@ from ...system.coordinates import Indices
 from ...system.model_parameters import GRAVITY, kinds_near, requested, size_of
 from ...system.system import System, in_gravity, nominal
 from ..closed_loops import may_pass_singular_shape
-from ..plan import MemberParameters
+from ..plan import Group, MemberParameters, Members, members_plan
 from ..robot_columns import RobotColumns, with_own
 from ..simulate import as_scene, trajectory_of
-from .member_groups import Group, Members, members_plan
 from .trajectories import Batch, Failure
 
 
