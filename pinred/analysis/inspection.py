@@ -16,7 +16,7 @@ from ..reduction.pointwise_reduction import PointwiseReduction, ReducedShape, br
 from ..reduction.poisson_brackets import casimirs
 from ..reduction.potential import broken_by_gravity
 from ..reduction.symmetric_balls import SymmetricBall, symmetric_balls
-from ..scene.file_forces import actuators_left_out, passive_left_out
+from ..scene.input_formats import actuators_left_out, passive_left_out
 from ..scene.scene import Scene
 from ..simulation.plan import plan_of
 from ..simulation.simulate import skipped

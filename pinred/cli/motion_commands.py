@@ -305,8 +305,8 @@ def add_sweep_arguments(sub: argparse.ArgumentParser) -> None:
 def run_sweep(arguments: argparse.Namespace) -> int:
     """Run the command.  Returns 0."""
     from ..scene.scene_options import SWEEP_OPTIONS
-    from ..scene.toml.file_place import naming
     from ..scene.toml.reader import read_scene_file, refuse_phases
+    from ..scene.toml.schema import naming
     from ..simulation.simulate import as_scene
     from ..sweeps.sweep import sweep
     from ..system.body_parameters import refuse_vague

@@ -9,7 +9,7 @@ from ..analysis.connections.connection import Connection
 from ..analysis.connections.fluid import Ellipse, Ellipsoid, Rod
 from ..analysis.connections.wheels import Rolling, Wheel
 from ..scene.toml.schema import ByName, Key, ListOf, Table, Tagged, Text
-from ..scene.toml.signal_tables import NUMBER, POSITIVE
+from ..scene.toml.value_tables import NUMBER, POSITIVE
 from ..system.system import System
 
 _POINT = ListOf(NUMBER, 3)

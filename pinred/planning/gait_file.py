@@ -16,8 +16,6 @@ from ..common.arrays import Array, vector_or_zero
 from ..common.errors import InputError
 from ..scene.scene_options import BY_JOINT, SCENE_OPTIONS
 from ..scene.toml.documents import ROBOT, read_document, robot_in
-from ..scene.toml.file_place import naming
-from ..scene.toml.parameter_tables import file_parameters, refuse_others, with_robot_parameters
 from ..scene.toml.schema import (
     ByName,
     Either,
@@ -29,9 +27,17 @@ from ..scene.toml.schema import (
     Text,
     Whole,
     document_schema,
+    naming,
     with_places,
 )
-from ..scene.toml.signal_tables import NUMBER, NUMBERS, POSITIVE
+from ..scene.toml.value_tables import (
+    NUMBER,
+    NUMBERS,
+    POSITIVE,
+    file_parameters,
+    refuse_others,
+    with_robot_parameters,
+)
 from ..system.system import System
 from .connection_tables import CONNECTIONS, connection_in
 from .optimisation.objective import AIMS, COSTS

@@ -49,13 +49,6 @@ from ..system.robot_file_contents import Keyframe
 from ..system.system import System, checked_system, nominal
 from . import input_formats
 from .event import Event, list_events, watched_of
-from .file_forces import (
-    acting_passive,
-    actuation,
-    actuators_left_out,
-    check_passive,
-    passive_left_out,
-)
 from .initial_state import (
     GivenStates,
     HeldJoints,
@@ -69,11 +62,16 @@ from .initial_state import (
 )
 from .input_formats import (
     GivenParameters,
+    acting_passive,
+    actuation,
+    actuators_left_out,
     check_keyframe,
+    check_passive,
     check_span,
     compute_report_times,
     given_parameters,
     list_forces,
+    passive_left_out,
 )
 from .scene_options import (
     ARRAYS_OF_STATE,

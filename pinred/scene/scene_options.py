@@ -35,11 +35,21 @@ from .event import EVENT_TABLE, Event
 from .initial_state import DURATION
 from .input_formats import EVEN_TIMES
 from .stop import STOPS, BallStop, Stop
-from .toml.file_place import Place
-from .toml.force_kinds import FORCE
-from .toml.parameter_tables import NamedNumbers
-from .toml.schema import ByName, Either, Flag, Key, ListOf, Node, Schema, Table, Tagged, Text, Whole
-from .toml.signal_tables import ACTION, NUMBER, NUMBERS, PLAN, POSITIVE, SHAPE
+from .toml.schema import (
+    ByName,
+    Either,
+    Flag,
+    Key,
+    ListOf,
+    Node,
+    Place,
+    Schema,
+    Table,
+    Tagged,
+    Text,
+    Whole,
+)
+from .toml.value_tables import ACTION, FORCE, NUMBER, NUMBERS, PLAN, POSITIVE, SHAPE, NamedNumbers
 
 
 def _method_table(method: type[Method]) -> Table:

@@ -23,7 +23,7 @@ from ..system.stated_limits import angles_of_balls, limits_of
 from ..system.system import System
 from ..system.urdf_elements import UNLIMITED
 from .toml.schema import ByName, Either, Key, ListOf, Table, Text
-from .toml.signal_tables import NUMBER, POSITIVE
+from .toml.value_tables import NUMBER, POSITIVE
 
 FILE = "file"  # value of the option for the limits of the robot's file
 STOP_TABLE = Table(

@@ -12,7 +12,7 @@ import pytest
 import pinred
 from pinred.cli.main import main
 from pinred.forces import Damper, Friction
-from pinred.scene.file_forces import passive_left_out
+from pinred.scene.input_formats import passive_left_out
 from pinred.simulation.plan import plan_of
 from pinred.simulation.simulate import explain_plan
 from pinred.system.robot_file_contents import Contents

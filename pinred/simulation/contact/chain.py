@@ -512,7 +512,7 @@ def _impact_before(
     if phase.impact is None:
         ends = [moment_of(traj, "phases") for traj in moving]
         return None, [(system, options_of(state)) for system, state in ends]
-    from ...scene.toml.file_place import naming
+    from ...scene.toml.schema import naming
 
     name, options = phase.impact
     place = phase.place / name
@@ -540,7 +540,7 @@ def _aligned(second: SceneFile, phase: LaterPhase, moving: Sequence[Trajectory])
     A robot moves alike from every pose, so its start moves by the difference of the frames at the
     end.
     """
-    from ...scene.toml.file_place import naming
+    from ...scene.toml.schema import naming
 
     assert phase.impact is not None
     with naming(phase.place / "capture"):
