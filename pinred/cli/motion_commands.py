@@ -96,7 +96,7 @@ def run_run(arguments: argparse.Namespace) -> int:
     from ..scene.initial_state import large_angles
     from ..scene.toml.reader import read_scene_file
     from ..simulation.over_time import FOLDERS, SUFFIXES
-    from ..simulation.plan import plan_of
+    from ..simulation.plan import plan_of, refuse_with_stops
     from ..simulation.simulate import as_scene, explain_plan, simulate
 
     file = read_scene_file(arguments.scene)
@@ -109,10 +109,7 @@ def run_run(arguments: argparse.Namespace) -> int:
     checkpoint = arguments.checkpoint or file.checkpoint
     plan = plan_of(scene)
     explanation = explain_plan(plan)  # This also verifies that the scene can be simulated.
-    if scene.bounds:
-        from ..simulation.stop_engines import refuse_with_stops
-
-        refuse_with_stops(plan, checkpoint=checkpoint is not None)
+    refuse_with_stops(plan, checkpoint=checkpoint is not None)
     if arguments.explain:
         print(explanation)
     elif note := large_angles(scene.given.x[0], scene.system):

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import Array, read_only
+from ..common.waiting import Progress
 from ..forces.switch_times import time_within
 from ..scene.stop import Bound
 from ..system.coordinates import Indices
@@ -65,13 +66,6 @@ class Segments(Sequence[Segment]):
         """Times of all step ends, (K,) sorted [s]."""
         return np.unique(np.concatenate([segment.knots for segment in self]))
 
-    def reported(self, t: Array) -> Array | None:  # noqa: ARG002
-        """Return the reduced states (T, k) if `t` is the array of report times and they are stored.
-
-        A single segment stores them itself, so the result is None here.
-        """
-        return None
-
     def __len__(self) -> int:
         return len(self.ends)
 
@@ -88,7 +82,10 @@ class Motion:
         actions: Calls of the controllers.
         crossings: Crossings of the events.
         ended_by: The crossing that ended the motion, or None if no event ended it.
+        building: Wall time for kernels that were built during the integration [s].
     """
+
+    building = 0.0
 
     def __init__(
         self,
@@ -174,8 +171,6 @@ class Motion:
         """Return the reduced states at times (T,), (T, k)."""
         if len(self.segments) == 1:
             return np.asarray(self.segments[0].at(t))
-        if (stored := self.segments.reported(t)) is not None:
-            return stored
         y = np.zeros((len(t), self._width))
         for k, rows in self._by_segment(self._which(t)):
             states = self.segments[k].at(t[rows])
@@ -297,7 +292,6 @@ def follow(
     plan: Plan,
     flow: ReducedFlow,
     integrate: Integrate,
-    through: Callable[[], Segments] | None = None,
     record: RunRecord | None = None,
     *,
     thinned: bool = False,
@@ -308,8 +302,6 @@ def follow(
         plan: The plan of the scene.
         flow: Reduced flow of the plan.
         integrate: The function that integrates the flow.
-        through: Integrates the flow through all stops of the plan at once; None if the engine
-            cannot do this.
         record: Record of the run in a checkpoint, from which it continues; or None.
         thinned: Whether segments do not store their step ends. Then events are searched for while
             the steps are integrated.
@@ -318,9 +310,6 @@ def follow(
     Raises:
         IntegrationError: The integration failed.
     """
-    varies = bool(plan.acting.driven) and len(plan.stops) > 1
-    if through is not None:
-        return Motion(flow, through(), varies=varies)
     t, y, parameters = 0.0, flow.y0, flow.parameters.copy()
     numbers = parameters[flow.numbers_at]
     if len(plan.stops) == 1 and record is None and not plan.is_observed:
@@ -357,3 +346,24 @@ def follow(
                 y = segment.at(np.array([t]))[0]
     varies = bool(plan.acting.driven) and len(segments) > 1
     return Motion(flow, segments, varies=varies, actions=control.calls, watch=watch)
+
+
+@dataclass(frozen=True)
+class Solver:
+    """What an engine does with a plan.
+
+    Attributes:
+        method: Name of its method.
+        degree: Degree of the method's dense output within a step.
+        flow: Function that returns the flow of a plan from its initial state.
+        integrator: Function from a flow, its plan, `progress` and the number of steps after which
+            `watch` is first called, to the function that integrates the flow.
+        motion: Function from a flow, its plan, `progress` and a record in a checkpoint, to the
+            function that integrates the plan of a scene without joint stops.
+    """
+
+    method: str
+    degree: int
+    flow: Callable[[Plan], Any]
+    integrator: Callable[[Any, Plan, Progress | None, int | None], Integrate]
+    motion: Callable[[Any, Plan, Progress | None, RunRecord | None], Callable[[], Motion]]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
+from functools import partial
 
 import numpy as np
 from scipy.integrate import DOP853, DenseOutput, OdeSolution
@@ -32,9 +33,10 @@ from ..scene.initial_state import Start
 from ..system.loops.kinematics import on_surfaces
 from ..system.loops.loop import BallSurface, quaternion_parts
 from ..system.state_fields import ShapeState, State
+from .checkpoint import RunRecord
+from .motion import Motion, Solver, follow
 from .plan import Plan
 from .reduced_flow import Integrate, Sample, Segment, entry_name, map_samples
-from .trajectory import Again, Trajectory, integrate_plan
 
 
 class Base:
@@ -492,7 +494,10 @@ DEGREE = 7  # of the dense output of DOP853 within a step
 
 
 def integrator(
-    flow: PinocchioFlow, plan: Plan, progress: Callable[[float], None] | None
+    flow: PinocchioFlow,
+    plan: Plan,
+    progress: Progress | None,
+    _chunk: int | None = None,
 ) -> Integrate:
     """Return the function that integrates a flow from one time of its plan to another.
 
@@ -500,6 +505,7 @@ def integrator(
         flow: The flow of the plan.
         plan: The plan.
         progress: Called after each step with the completed fraction of the time, 0 to 1.
+        _chunk: Not used: `watch` is called after each step.
     Returns:
         The function; its IntegrationError states the time and the entry of the reduced state.
     """
@@ -571,18 +577,13 @@ def integrator(
     return run
 
 
-def run_pinocchio(plan: Plan, progress: Progress | None, again: Again) -> Trajectory:
-    """Return the trajectory of a plan, integrated with SciPy's DOP853.
+def _motion(
+    flow: PinocchioFlow,
+    plan: Plan,
+    progress: Progress | None,
+    _record: RunRecord | None,
+) -> Callable[[], Motion]:
+    return partial(follow, plan, flow, integrator(flow, plan, progress))
 
-    Args:
-        plan: The plan.
-        progress: Called repeatedly with the completed fraction of the time, 0 to 1.
-        again: Function that simulates the scene again; see Trajectory.
-    Returns:
-        The trajectory.
-    Raises:
-        IntegrationError: The integrator cannot continue.
-    """
-    flow = PinocchioFlow(plan)
-    integrate = integrator(flow, plan, progress)
-    return integrate_plan(plan, flow, integrate, "pinocchio", "DOP853", again)
+
+SOLVER = Solver("DOP853", DEGREE, PinocchioFlow, integrator, _motion)

@@ -226,11 +226,6 @@ class Plan:
         return method
 
     @cached_property
-    def method_name(self) -> str:
-        """Name of the method."""
-        return self.method.name
-
-    @cached_property
     def divisions(self) -> int:
         """Number of parts into which a step is divided for its users.
 
@@ -355,6 +350,30 @@ class Plan:
         links = () if forces is None else forces.freed.links
         bodies = varied.free, varied.placed, varied.turned
         return freed_of(self.system, *bodies, links, generic=generic)
+
+
+def refuse_with_stops(plan: Plan, *, checkpoint: bool) -> None:
+    """Reject options of a simulation that do not act together with joint stops.
+
+    Args:
+        plan: The plan of a scene; one without stops passes.
+        checkpoint: Whether a checkpoint is written.
+    Raises:
+        InputError: An option does not act together with stops; the message has the remedy.
+    """
+    if not plan.scene.bounds:
+        return
+    method = plan.method
+    if not isinstance(method, ErrorControl) or method.symplectic:
+        raise InputError(
+            f"stops: expected none with method {method.name}, whose steps do not end at impacts. "
+            "Use DOP853, Tsit5, Radau or auto, or omit stops"
+        )
+    if checkpoint and plan.forces is not None and plan.forces.held:
+        raise InputError(
+            "checkpoint: expected no controllers in a scene with stops, because the impacts are "
+            "repeated from the start. Omit checkpoint, or use forces instead of controllers"
+        )
 
 
 def spans_between(stops: Array, reports: Array) -> list[Span]:

@@ -10,7 +10,7 @@ variables of the reduced state are copied, so not even round-off changes the spa
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import cast
@@ -29,15 +29,14 @@ from ..forces.tracking import ComputedTorque, ComputedTorqueAtRest
 from ..reduction.inertia_split import symmetric
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..scene.input_formats import list_forces
-from ..scene.scene import Engine, Scene
-from ..scene.stop import Bound, place
+from ..scene.scene import Scene
+from ..scene.stop import BallBound, Bound, place
 from ..system.coordinates import Indices
 from ..system.loops.looped_system import loop_jacobian
 from ..system.state_fields import ShapeState, State
 from ..system.system import System
 from .balances import driving_torques
 from .checkpoint import Checkpoint, Part
-from .closed_loops import refuse_singular_loops
 from .compiled.compiled_flow import CompiledFlow
 from .control import Control, ControlAction
 from .events import RootSearch, Watch, cut_at
@@ -50,11 +49,9 @@ from .impacts import (
     solve_complementarity,
     table_of,
 )
-from .motion import Motion
+from .motion import Motion, Solver
 from .plan import Plan, plan_of
 from .reduced_flow import Integrate, ModeFlow, ReducedFlow, Sample, Segment
-from .stop_engines import StopEngine, refuse_undefined
-from .trajectory import Again, Cost, Trajectory, trajectory_of_motion
 
 _ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # of a position, relative
 _LEAST_GAP = 1e-18  # Smallest margin of a gap, for stops at zero [rad | m].
@@ -63,6 +60,7 @@ _AT_REST = 1e-13  # Rate at a stop that counts as zero, relative to the largest 
 _SLOW = 1e-3  # Rebound above which round-off of a position cannot sustain it [rad/s | m/s].
 _DEPENDENT = 1e-9  # Eigenvalue of scaled metrics below which motions of joints are dependent.
 _MOST_AT_ONCE = 100  # Largest number of successive impacts without time between them.
+_CHUNK = 8  # Number of steps after which stops are first looked for.
 MOST_IMPACTS = 100_000  # Largest number of impacts of one run.
 
 Rest = tuple[Bound, ...]
@@ -126,6 +124,7 @@ class StoppedMotion(Motion):
         before: ModeFlow,
         watch: Watch | None,
         actions: Sequence[ControlAction],
+        building: float,
     ) -> None:
         """Store a motion.
 
@@ -134,7 +133,9 @@ class StoppedMotion(Motion):
             before: Flow from the initial state, before an impact at the start.
             watch: Detection of events.
             actions: Calls of the controllers.
+            building: Wall time for kernels of modes [s], which are built once.
         """
+        self.building = building
         segments = [segment for phase in phases for segment in phase.segments]
         super().__init__(before, segments, varies=True, actions=actions, watch=watch)
         self._phases, self._before = phases, before
@@ -394,31 +395,40 @@ class _Contact:
     may_rest: NDArray[np.bool_]
 
 
-class _Run:
+class RunWithStops:
     """One run with stops."""
 
     def __init__(
         self,
         plan: Plan,
         progress: Progress | None,
-        engine: StopEngine,
+        solver: Solver,
         checkpoint: Checkpoint | None,
     ) -> None:
-        self._engine = engine
+        """Prepare the run.
+
+        Args:
+            plan: The plan, whose scene has stops.
+            progress: Called repeatedly with the completed fraction of the time, 0 to 1.
+            solver: The engine.
+            checkpoint: Checkpoint that the run continues and updates; or None. All parts are
+                repeated from their saved integrations, which takes little time.
+        """
+        self._solver = solver
         self.plan, self.scene, self.bounds = plan, plan.scene, plan.scene.bounds
         self.progress, self.system = progress, plan.system
         self._free = replace(self.scene, stops=None, events=())
         free_plan = self._limited(self._free)
-        self.first = engine.start(free_plan)
-        integrate = engine.integrator(self.first, free_plan, progress)
+        self.first: ModeFlow = solver.flow(free_plan)
+        integrate = solver.integrator(self.first, free_plan, progress, _CHUNK)
         self._modes: dict[Rest, Mode] = {(): Mode((), self.bounds, self.first, integrate)}
         tree = self.system.open_tree()
         self._reduction = tree.workspace(PointwiseReduction, lambda: PointwiseReduction(tree))
         # Rates that impacts change, and the index of each rate among them.
         self._rates = list(plan.acting.free)
-        self._impacts, self._at_once, self.building = 0, 0, 0.0
+        self._impacts, self._at_once, self._building = 0, 0, 0.0
         watched = self.scene.watched
-        self.watch = None if watched is None else Watch(self.scene, self.first, watched)
+        self._watch = None if watched is None else Watch(self.scene, self.first, watched)
         # Force parameters of the scene, which controllers change.
         self._control, self._numbers = Control(self.scene), self.first.numbers.copy()
         self.record = (
@@ -437,9 +447,9 @@ class _Run:
             plan = self._limited(locked_scene(self._free, rest, x, xdot))
             flow = self.first.in_mode(plan)
             moving = tuple(b for b in self.bounds if not (b in rest or locked.issuperset(b.rates)))
-            integrate = self._engine.integrator(flow, plan, self.progress)
+            integrate = self._solver.integrator(flow, plan, self.progress, _CHUNK)
             mode = self._modes[rest] = Mode(rest, moving, flow, integrate)
-            self.building += time.perf_counter() - began
+            self._building += time.perf_counter() - began
         return mode
 
     def motion(self) -> StoppedMotion:
@@ -455,7 +465,8 @@ class _Run:
             phases.append(phase)
             state, search = self._follow(phase)
             if state.t >= end or search is None:
-                return StoppedMotion(phases, self.first, self.watch, self._control.calls)
+                calls = self._control.calls
+                return StoppedMotion(phases, self.first, self._watch, calls, self._building)
             phase = self._next(state, phase.mode, search)
 
     def _follow(self, phase: Phase) -> tuple[_State, _StopSearch | None]:
@@ -463,15 +474,15 @@ class _Run:
         flow, mode, t, y = phase.flow, phase.mode, phase.start, phase.flow.y0
         parameters = flow.parameters_between(t, self._stop_after(t))
         cling = self._cling(flow, t, y, parameters) if mode.rest else 0.0
-        if self.watch is not None:
-            self.watch.flow = flow
+        if self._watch is not None:
+            self._watch.flow = flow
         while t < self.scene.end:
             stop = self._control.begin(
                 self._numbers, t, self._stop_after(t), partial(flow.sample, t, y, parameters)
             )
             own = read_only(self._numbers.copy())
             parameters = read_only(self._commanded(flow, t, stop))
-            search = _StopSearch(self.plan, self._engine.degree, mode, flow, own, cling)
+            search = _StopSearch(self.plan, self._solver.degree, mode, flow, own, cling)
             if self.record is not None:
                 self.record.repeat(Part(t, stop, read_only(y), parameters))
             segment = mode.integrate(t, stop, read_only(y), parameters, search.look, self.record)
@@ -490,9 +501,9 @@ class _Run:
             if not parts:  # A force that jumps, or another impact, acts on a joint at its stop.
                 return _State(t, flow, y, parameters), search
             for part in parts:
-                ended = self.watch is not None and self.watch.look(part)
-                if ended and self.watch is not None and self.watch.end is not None:
-                    t = self.watch.end.t
+                ended = self._watch is not None and self._watch.look(part)
+                if ended and self._watch is not None and self._watch.end is not None:
+                    t = self._watch.end.t
                     cut = cut_at(t, part, mode.integrate)
                     phase.segments.extend(cut)
                     phase.numbers.extend([own] * len(cut))
@@ -546,7 +557,7 @@ class _Run:
         x, xdot, pi = map(np.copy, state.values)
         among = {*rest, *touching}
         bounds = tuple(bound for bound in self.bounds if bound in among)
-        refuse_undefined(bounds, x, state.t)
+        _refuse_undefined(bounds, x, state.t)
         place(bounds, x)
         normals = np.array([b.normal(x, len(pi)) for b in bounds]).reshape(-1, len(pi))
         inverse = self._inverse_metric(x, normals[:, self._rates])
@@ -764,36 +775,20 @@ def _impact(
     )
 
 
-def run_with_stops(
-    plan: Plan,
-    progress: Progress | None,
-    again: Again,
-    engine: Engine = "compiled",
-    checkpoint: Checkpoint | None = None,
-) -> Trajectory:
-    """Return the trajectory of a plan whose scene has stops.
+def _refuse_undefined(bounds: Iterable[Bound], x: Array, t: float) -> None:
+    """Reject a ball at its twist stop whose swing reaches π.
 
     Args:
-        plan: The plan.
-        progress: Called repeatedly with the completed fraction of the time, 0 to 1.
-        again: Function that simulates the scene again; see Trajectory.
-        engine: Name of the engine.
-        checkpoint: Checkpoint that the run continues and updates; or None. All parts are repeated
-            from their saved integrations, which takes little time.
-    Returns:
-        The trajectory.
+        bounds: The stops at which joints are.
+        x: Shape, (nx,) [rad | m | 1].
+        t: Time [s].
     Raises:
-        InputError: A prescribed joint runs into its stop.
-        IntegrationError: The integrator cannot continue, or there are too many impacts.
+        IntegrationError: The twist of a ball is not defined.
     """
-    with_stops = StopEngine.of(engine, plan)
-    run = _Run(plan, progress, with_stops, checkpoint)
-    started = time.perf_counter()
-    motion = run.motion()
-    refuse_singular_loops(plan.system, motion)
-    wall = time.perf_counter() - started - run.building  # kernels are built once
-    if checkpoint is not None and run.record is not None:
-        flow = cast(CompiledFlow, run.first)
-        checkpoint.close(run.record, flow, plan, cut=motion.ended_by is not None)
-    cost = Cost(engine, with_stops.method, motion.steps, motion.evaluations, wall, plan.notices)
-    return trajectory_of_motion(plan, motion, cost, again)
+    for bound in bounds:
+        if isinstance(bound, BallBound) and bound.is_undefined(x):
+            raise IntegrationError(
+                f"stops: the swing of ball joint '{bound.joint}' reaches π at t = {t:g} s, "
+                "where its twist is not defined. Bound its swing as well, such as "
+                "BallStop(twist=…, swing=3)"
+            )

@@ -29,12 +29,12 @@ from ..system.model_parameters import joined
 from ..system.system import System, checked_system, nominal
 from .compiled.code_ahead import expect_integration
 from .limit_excess import excess_notice
-from .plan import Plan, plan_of
+from .plan import Plan, plan_of, refuse_with_stops
 from .robot_columns import without_own
+from .trajectory import Trajectory, run_plan
 
 if TYPE_CHECKING:
     from .checkpoint import Checkpoint
-    from .trajectory import Trajectory
 
 _OPTIONS = Scene.__dataclass_fields__.keys() - {"system"}
 
@@ -153,26 +153,10 @@ def _simulated(
 ) -> Trajectory:
     """Return the trajectory of a plan; with `check`, one whose steps skip no force."""
     again = partial(simulate, plan.scene, engine=engine, check=check)
-    run: Callable[[Plan], Trajectory]
-    if plan.scene.bounds:
-        from .run_with_stops import run_with_stops
-        from .stop_engines import refuse_with_stops
-
-        if engine == "compiled":
-            _expect_code(plan)
-        refuse_with_stops(plan, checkpoint=checkpoint is not None)
-        run = partial(
-            run_with_stops, progress=progress, again=again, engine=engine, checkpoint=checkpoint
-        )
-    elif engine == "compiled":
+    if engine == "compiled":
         _expect_code(plan)  # before the kernels are imported
-        from .compiled.integrator import run_compiled
-
-        run = partial(run_compiled, progress=progress, again=again, checkpoint=checkpoint)
-    else:
-        from .pinocchio_engine import run_pinocchio
-
-        run = partial(run_pinocchio, progress=progress, again=again)
+    refuse_with_stops(plan, checkpoint=checkpoint is not None)
+    run = partial(run_plan, engine=engine, progress=progress, again=again, checkpoint=checkpoint)
     resolved = partial(_resolved, run=run, engine=engine)
     if not check:
         return resolved(plan)

@@ -26,7 +26,7 @@ from .members.member_options import (
     warn_of_rejected,
 )
 from .members.trajectories import Batch, Failure, Trajectories
-from .plan import Group, Members, of_scenes
+from .plan import Group, Members, of_scenes, refuse_with_stops
 from .simulate import free_joints_notice, trajectory_of
 from .trajectory import Trajectory
 
@@ -203,9 +203,7 @@ def run_members(
     for group in members.groups:
         if not group.one_by_one:
             expect_members(group.plan.method)
-        elif group.plan.scene.bounds:
-            from .stop_engines import refuse_with_stops
-
+        else:
             refuse_with_stops(group.plan, checkpoint=False)
     from .compiled.compiled_flow import flows_of
     from .members.integrate_members import integrate_members

@@ -22,7 +22,7 @@ from ..common.waiting import Progress, say, shown
 from ..common.zarr_folders import import_zarr
 from ..scene.scene import Scene
 from ..scene.scene_options import BLOCK, SAMPLERS, Sampler
-from ..simulation.plan import Group, members_plan
+from ..simulation.plan import Group, members_plan, refuse_with_stops
 from ..simulation.simulate_many import check_device
 from .distributions import Distribution, Listed, parse_distribution
 from .samplers import MOST_SOBOL, PointSequence, grid_size
@@ -258,8 +258,6 @@ def _job(
     if varied.scene.method == "auto":
         varied.scene = replace(varied.scene, method=members_plan(varied.scene).method.name)
     if varied.scene.bounds:
-        from ..simulation.stop_engines import refuse_with_stops
-
         refuse_with_stops(members_plan(varied.scene), checkpoint=False)
     sequence = PointSequence.of(chosen, laws, count, whole(seed, "seed", 0))
     size = min(whole(block, "block", 1), count)  # Chunks have the size of a block.
