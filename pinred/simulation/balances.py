@@ -179,14 +179,14 @@ def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalan
         for k, q in enumerate(full.q):
             moment = np.cross(pin.centerOfMass(model, data, q), weight)
             wrenches[k] = axes.T @ (np.array([weight, moment]) @ rotation).ravel()
-        if forces is not None and plan.acting.wrench:
+        if forces is not None and plan.wrench:
             samples, numbers = motion.samples(t)
             body = forces.acting(samples.force_inputs(t, numbers)).wrench
             wrenches += system.group.spatial_momentum(full.pose, body)
         return wrenches
 
     impulse = np.zeros((len(states.t), system.r))
-    if plan.acting.wrench or weight.any():
+    if plan.wrench or weight.any():
         impulse = _integral(motion, states.t, compute_wrenches)
     return MomentumBalance(states.t, states.spatial_momentum, impulse)
 
@@ -239,7 +239,7 @@ def joint_torques(plan: Plan, motion: Motion, t: Array) -> Array:
     if plan.forces is not None:
         samples, numbers = motion.samples(t)
         acting = np.array(plan.forces.acting(samples.force_inputs(t, numbers)).torque)
-        acting[:, list(plan.acting.driven)] += driving
+        acting[:, list(plan.driven)] += driving
         torques = acting + of_stops if of_stops.any() else acting
     return read_only(torques)
 
@@ -255,7 +255,7 @@ def torques_of_motion(plan: Plan, motion: Motion, t: Array) -> tuple[Array, Arra
         (T, k) in the order of the prescribed joints, and (T, m), zero for moving joints [N·m | N].
     """
     samples, numbers = motion.samples(t)
-    driven = len(plan.acting.driven)
+    driven = len(plan.driven)
     driving, reactions = np.zeros((len(t), driven)), np.zeros((len(t), plan.system.m))
     for rest, rows in motion.resting(t):
         chosen = map_samples(lambda field, rows=rows: field[0][rows], [samples])
@@ -282,7 +282,7 @@ def driving_torques(
         (T, k) [N·m | N]: torques in the order of the prescribed joints; then the reactions of the
         stops, away from them.
     """
-    count = len(plan.acting.driven) + len(rest)
+    count = len(plan.driven) + len(rest)
     if not count:
         return read_only(np.zeros((len(t), 0)))
     torques = np.empty((len(t), count))
@@ -301,7 +301,7 @@ def _driving_torques(
     system, r, forces = plan.system, plan.system.r, plan.forces
     on_surface = [bound.surface is not None for bound in rest]
     locked = [bound for bound, is_on in zip(rest, on_surface, strict=True) if not is_on]
-    driven = r + np.array([*plan.acting.driven, *(bound.v for bound in locked)], dtype=np.intp)
+    driven = r + np.array([*plan.driven, *(bound.v for bound in locked)], dtype=np.intp)
     free = np.setdiff1d(np.arange(system.n), driven)
     H, force = _inertial_terms(system, samples)
     a, loads = np.zeros_like(force), np.zeros_like(force)
@@ -328,7 +328,7 @@ def _driving_torques(
     torques = np.asarray(needed - force[:, driven] - loads[:, driven])
     if not rest:
         return torques
-    count = len(plan.acting.driven)
+    count = len(plan.driven)
     of_stops = np.empty((len(t), len(rest)))
     of_stops[:, np.logical_not(on_surface)] = torques[:, count:] * [bound.sign for bound in locked]
     of_stops[:, on_surface] = reactions

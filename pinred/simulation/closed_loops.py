@@ -223,8 +223,8 @@ def _multipliers(
     if force is not None:
         tau += force
     moving = np.arange(len(H))
-    if plan.acting.driven:  # drives apply the forces that their accelerations need
-        driven = r + np.array(plan.acting.driven)
+    if plan.driven:  # drives apply the forces that their accelerations need
+        driven = r + np.array(plan.driven)
         moving = np.setdiff1d(moving, driven)
         tau, bias = tau - H[:, driven] @ accelerations, bias + J[:, driven] @ accelerations
         J = J[:, moving]

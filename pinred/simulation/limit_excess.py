@@ -284,7 +284,7 @@ def _efforts(plan: Plan, motion: Motion, t: Array) -> dict[str, Array]:
             if joint.kind.m == 1 and column.any():
                 efforts[joint.name] = column[:, 0]
     driven = driving_torques(plan, t, samples, numbers)
-    for k, column in zip(plan.acting.driven, driven.T, strict=True):
+    for k, column in zip(plan.driven, driven.T, strict=True):
         efforts[plan.system.shape_names[k]] = column
     return efforts
 

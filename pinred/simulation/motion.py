@@ -344,7 +344,7 @@ def follow(
             t, part = part.end, None
             if t != plan.stops[-1]:
                 y = segment.at(np.array([t]))[0]
-    varies = bool(plan.acting.driven) and len(segments) > 1
+    varies = bool(plan.driven) and len(segments) > 1
     return Motion(flow, segments, varies=varies, actions=control.calls, watch=watch)
 
 

@@ -54,20 +54,20 @@ class Base:
 
     def __init__(self, plan: Plan, start: Start) -> None:
         """Set up the base for a plan and its initial state."""
-        system, weight, wrench = plan.system, plan.acting.weight, plan.acting.wrench
+        system, weight, wrench = plan.system, plan.weight, plan.wrench
         group, root = system.group, root_of(system)
         k = self._k = group.linear
         self._group, self._mass, self.turns = group, system.mass, group.turns
         self.axes, self._g, self._weight = root.axes, root.g, weight
         self._lift = float(root.origin @ root.axes @ root.g)
         self._pivot = float(weight @ root.origin)
-        heavy = plan.acting.turned
+        heavy = plan.turned
         attitude, c, P = start.pose[k:], start.com @ root.axes, start.mu[:k]
         about = group.about(start.com, start.mu)
         self.parts = base_parts(
             group, wanted=plan.wanted, heavy=heavy, wrench=wrench, zero_momentum=not about.any()
         )
-        self.has_momentum = plan.acting.momentum_changes or bool(about.any())
+        self.has_momentum = plan.momentum_changes or bool(about.any())
         self._c0 = start.pose[:k] + group.turned(attitude, c)
         self._v0 = group.turned(attitude, P / system.mass)
         self.spin = self._fixed(attitude, about)[: self.parts.spin]
@@ -231,11 +231,11 @@ class PinocchioFlow:
         self.system, self._wanted = system, plan.wanted
         self.forces = forces = plan.forces
         self._seen = forces is not None and (forces.sees_attitude or forces.sees_place)
-        space, self._driven = system.space, list(plan.acting.driven)
+        space, self._driven = system.space, list(plan.driven)
         self._ball_joints = [j for j in space.balls if j.v.start not in self._driven]
         self._balls = [k for j in self._ball_joints for k in range(j.v.start, j.v.stop)]
         self._balls_x = [k for j in self._ball_joints for k in range(j.x.start, j.x.stop)]
-        self._free = [k for k in plan.acting.free if k not in self._balls]
+        self._free = [k for k in plan.free if k not in self._balls]
         self._driven_x = space.coordinates_of_joints(self._driven)
         self._free_x = space.coordinates_of(self._free)
         self._balls_at = 2 * len(self._free)
@@ -245,7 +245,7 @@ class PinocchioFlow:
                 self._surfaces.setdefault(loop.ball, []).append(loop)
         first = self._balls_at + 7 * len(self._ball_joints)
         self._potential = shape_gravity(system)
-        self._weight = plan.acting.weight
+        self._weight = plan.weight
         self._form = CanonicalForm(system, self._potential)
         self.parameters, self.numbers_at = plan.numbers, slice(None)
         self.clock = slice(0)

@@ -46,7 +46,6 @@ from ..reduction.tree.free_bodies import NOTHING, Freed, free_numbers, freed_of
 from ..scene.initial_state import GivenStates
 from ..scene.scene import Scene
 from ..system.coordinates import Indices
-from ..system.model_parameters import ModelParameters
 from ..system.system import System, nominal
 from .choose_method import LANES_GAIN, RADAU_GAIN, Choice, choose, radau_gain
 from .step_limits import step_limits
@@ -102,12 +101,13 @@ class Span:
 
 
 @dataclass(frozen=True, eq=False)
-class Acting:
-    """Properties of a system with its forces, shared by several scenes; arrays are read-only.
+class Plan:
+    """All quantities of a scene that are computed before integration; arrays are read-only.
 
     Attributes:
-        system: The system.
-        forces: Forces besides gravity and prescribed joints; None if there are none.
+        scene: The scene.
+        stops: Times at which integration stops, with the end of the scene as last, (S,) [s].
+        numbers: Initial force parameters, (p,).
         weight: Gravity force m g in the root joint's fixed frame if it rotates a pivoted base, else
             zero, (3,) [N].
         gravity: The part of gravity that acts on the shape or rotates the base, in that frame,
@@ -117,10 +117,12 @@ class Acting:
         symmetric_balls: Balls whose momentum about an axis of symmetry is constant.
         driven: Indices of the prescribed joints.
         free: Indices of all other joints.
+        longest: Longest step of methods with step control [s].
     """
 
-    system: System
-    forces: ForceModel | None
+    scene: Scene
+    stops: Array
+    numbers: Array
     weight: Array
     gravity: Array
     momentum_changes: bool
@@ -128,34 +130,6 @@ class Acting:
     symmetric_balls: tuple[SymmetricBall, ...]
     driven: tuple[int, ...]
     free: tuple[int, ...]
-
-    @property
-    def wrench(self) -> bool:
-        """Whether a force acts on the base itself."""
-        return self.forces is not None and self.forces.has_wrench
-
-    @property
-    def turned(self) -> bool:
-        """Whether gravity rotates a pivoted base."""
-        return bool(self.weight.any())
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """All quantities of a scene that are computed before integration; arrays are read-only.
-
-    Attributes:
-        scene: The scene.
-        acting: Properties of the scene's system and forces.
-        stops: Times at which integration stops, with the end of the scene as last, (S,) [s].
-        numbers: Initial force parameters, (p,).
-        longest: Longest step of methods with step control [s].
-    """
-
-    scene: Scene
-    acting: Acting
-    stops: Array
-    numbers: Array
     longest: float = np.inf
 
     @property
@@ -166,7 +140,17 @@ class Plan:
     @property
     def forces(self) -> ForceModel | None:
         """Forces besides gravity and prescribed joints; None if there are none."""
-        return self.acting.forces
+        return self.scene.force_model
+
+    @property
+    def wrench(self) -> bool:
+        """Whether a force acts on the base itself."""
+        return self.forces is not None and self.forces.has_wrench
+
+    @property
+    def turned(self) -> bool:
+        """Whether gravity rotates a pivoted base."""
+        return bool(self.weight.any())
 
     @property
     def wanted(self) -> bool:
@@ -211,9 +195,8 @@ class Plan:
     @cached_property
     def choice(self) -> Choice:
         """The method of the compiled engine, with the reason for it."""
-        shared, acting = self.scene.shared, self.acting
-        changes = acting.momentum_changes
-        make = partial(choose, self.scene, self.stops, acting.cyclic, momentum_changes=changes)
+        shared, changes = self.scene.shared, self.momentum_changes
+        make = partial(choose, self.scene, self.stops, self.cyclic, momentum_changes=changes)
         is_first = self.stops is vars(once(shared, Plan, lambda: self))["stops"]
         return once(shared, Choice, make) if is_first else make()
 
@@ -224,6 +207,11 @@ class Plan:
         if isinstance(method, ErrorControl) and self.longest < method.max_step:
             return replace(method, max_step=self.longest)
         return method
+
+    @cached_property
+    def method_name(self) -> str:
+        """Name of the method."""
+        return self.method.name
 
     @cached_property
     def divisions(self) -> int:
@@ -305,23 +293,23 @@ class Plan:
         Returns:
             The structure.
         """
-        acting, varied = self.acting, self.scene.varied
-        zero = zero_momentum and not acting.momentum_changes
+        varied = self.scene.varied
+        zero = zero_momentum and not self.momentum_changes
         # With symplectic methods, a quaternion is integrated to rotate the constant angular
         # momentum into the body frame.
-        constant = self.system.group.turns == 3 and not (zero or acting.momentum_changes)
+        constant = self.system.group.turns == 3 and not (zero or self.momentum_changes)
         lifted = self.method.symplectic and constant
         lifted_balls = self.method.symplectic and bool(self.system.space.balls)
         any_gravity = generic and varied is not None and varied.gravity_name() == "gravity"
         freed = self.freed(generic=generic)
         # Lifted balls have conjugate momenta, none of which is constant.
-        symmetric = () if lifted_balls or all_momenta else acting.symmetric_balls
+        symmetric = () if lifted_balls or all_momenta else self.symmetric_balls
 
         def make() -> Structure:
-            axes = tuple(np.flatnonzero(acting.gravity).tolist())
+            axes = tuple(np.flatnonzero(self.gravity).tolist())
             return Structure(
                 zero_momentum=zero,
-                cyclic=acting.cyclic,
+                cyclic=self.cyclic,
                 rotors=rotors_among(symmetric),
                 axial=axial_among(symmetric),
                 gravity=(0, 1, 2) if axes and any_gravity else axes,
@@ -331,11 +319,8 @@ class Plan:
                 freed=freed,
             )
 
-        return once(
-            acting,
-            (Structure, zero, self.wanted, lifted, lifted_balls, freed, any_gravity, all_momenta),
-            make,
-        )
+        key = zero, self.wanted, lifted, lifted_balls, freed, any_gravity, all_momenta
+        return once(*_owner(self.scene, Structure, *key), make)
 
     def layout(self, *, zero_momentum: bool, generic: bool = False) -> Layout:
         """Return the indices of integrated variables and of parameters, cached; see `structure`."""
@@ -430,13 +415,10 @@ def plan_of(scene: Scene) -> Plan:
     """
 
     def make() -> Plan:
-        system, forces, varied = scene.system, scene.force_model, scene.varied
-        # Scenes of one force model, which belongs to one system, share these properties.
-        owner = system if forces is None else forces
-        key = (Acting, *(varied.names if varied is not None else ()))
-        acting = once(owner, key, lambda: _acting(system, forces, varied))
+        forces = scene.force_model
+        symmetries = once(*_owner(scene, _find_symmetries), lambda: _find_symmetries(scene))
         numbers = _NONE if forces is None else read_only(forces.numbers_from(0.0, scene.end))
-        return Plan(scene, acting, read_only(stops_of(scene)), numbers)
+        return Plan(scene, read_only(stops_of(scene)), numbers, **symmetries)
 
     # The plan refers to its scene, so a scene that kept its plan would not be freed at once.
     first = once(scene.shared, Plan, make)
@@ -447,7 +429,16 @@ def plan_of(scene: Scene) -> Plan:
     return plan
 
 
-def _acting(system: System, forces: ForceModel | None, varied: ModelParameters | None) -> Acting:
+def _owner(scene: Scene, *key: Hashable) -> tuple[object, Hashable]:
+    """Return the owner of what scenes with one force model and variable parameters share; a key."""
+    # A force model belongs to one system.
+    owner = scene.system if scene.force_model is None else scene.force_model
+    return owner, (*key, None if scene.varied is None else scene.varied.names)
+
+
+def _find_symmetries(scene: Scene) -> dict[str, Any]:
+    """Return the fields of a plan that follow from the system, its forces and its parameters."""
+    system, forces, varied = scene.system, scene.force_model, scene.varied
     weight, gravity = pivot_weight(system), acting_gravity(system)
     weighed = forces is not None and forces.weighed
     driven = forces.joints if forces is not None else ()
@@ -469,17 +460,15 @@ def _acting(system: System, forces: ForceModel | None, varied: ModelParameters |
             f"gravity rotates the base of '{system.name}', so its accelerations depend on more "
             "than shape and momentum; use PD control, or gravity=(0, 0, 0)"
         )
-    return Acting(
-        system=system,
-        forces=forces,
-        weight=weight,
-        gravity=gravity,
-        momentum_changes=bool(weight.any()) or pushed,
-        cyclic=cyclic,
-        symmetric_balls=balls,
-        driven=driven,
-        free=tuple(k for k in range(system.m) if k not in driven),
-    )
+    return {
+        "weight": weight,
+        "gravity": gravity,
+        "momentum_changes": bool(weight.any()) or pushed,
+        "cyclic": cyclic,
+        "symmetric_balls": balls,
+        "driven": driven,
+        "free": tuple(k for k in range(system.m) if k not in driven),
+    }
 
 
 @dataclass(frozen=True)
@@ -509,7 +498,7 @@ class Group:
         if plan.forces is not None and plan.forces.held:
             controller, _ = plan.forces.held[0]
             return f"{controller.name} is called every {controller.period:g} s"
-        if (len(plan.stops) > 1 or plan.stops_vary) and plan.acting.driven:
+        if (len(plan.stops) > 1 or plan.stops_vary) and plan.driven:
             return f"a plan of a joint is not smooth at t = {plan.stops[0]:g} s"
         return ""
 
@@ -590,7 +579,7 @@ def _structure(plan: Plan) -> Hashable:
     """Return a key that is equal for scenes that share a kernel, a method and stops."""
     forces, states = plan.forces, plan.scene.given
     varied = plan.scene.varied
-    robot = None if varied is None else (varied.names, plan.acting.gravity.astype(bool).tobytes())
+    robot = None if varied is None else (varied.names, plan.gravity.astype(bool).tobytes())
     stops = plan.stops
     if plan.stops_vary and forces is not None:  # members stop at their own switches
         stops = forces.tables.breaks
@@ -620,7 +609,7 @@ def _group(members: Indices, plans: Sequence[Plan]) -> Group:
             parameters, robot=np.array([free_numbers(p.system, freed) for p in plans])
         )
         if varied.gravity:
-            acting = np.array([plan.acting.gravity for plan in plans])
+            acting = np.array([plan.gravity for plan in plans])
             fall = np.array([falling(plan.system) for plan in plans])
             parameters = replace(parameters, gravity=acting, fall=fall)
     return Group(members, plans[0], GivenStates(**columns), parameters)

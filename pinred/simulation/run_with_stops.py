@@ -312,7 +312,7 @@ def reactions_of(plan: Plan, rest: Rest, t: Array, samples: Sample, numbers: Arr
         numbers: Force parameters of the scene, (p,).
     """
     torques = driving_torques(plan, t, samples, np.tile(numbers, (len(t), 1)), rest)
-    return np.asarray(torques[:, len(plan.acting.driven) :])
+    return np.asarray(torques[:, len(plan.driven) :])
 
 
 def locked_scene(
@@ -425,7 +425,7 @@ class RunWithStops:
         tree = self.system.open_tree()
         self._reduction = tree.workspace(PointwiseReduction, lambda: PointwiseReduction(tree))
         # Rates that impacts change, and the index of each rate among them.
-        self._rates = list(plan.acting.free)
+        self._rates = list(plan.free)
         self._impacts, self._at_once, self._building = 0, 0, 0.0
         watched = self.scene.watched
         self._watch = None if watched is None else Watch(self.scene, self.first, watched)
@@ -544,7 +544,7 @@ class RunWithStops:
 
     def _refuse_driven(self, touching: Sequence[Bound], t: float) -> None:
         for bound in touching:
-            if {*bound.rates} & {*self.plan.acting.driven}:
+            if {*bound.rates} & {*self.plan.driven}:
                 raise InputError(
                     f"prescribed: the motion of joint '{bound.joint}' runs into its {bound.side} "
                     f"stop at t = {t:g} s. Change its motion, or omit its stop"
@@ -700,7 +700,7 @@ class RunWithStops:
             lost: Energy that the stops remove [J].
         """
         _, before, _ = state.values
-        if not before[list(self.plan.acting.driven)].any():
+        if not before[list(self.plan.driven)].any():
             return 0.0
         energies = [self._energy(x, v, self._sample(state, x, v).xi[0]) for v in (before, rates)]
         return energies[1] - energies[0] + lost

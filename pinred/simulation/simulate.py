@@ -217,7 +217,7 @@ def explain_plan(plan: Plan) -> str:
     lines.append(f"integrated: {integrated(plan)}")
     lines += seen_and_integrated(plan)
     layout = plan.layout(zero_momentum=zero)
-    balls = (ball for ball in plan.acting.symmetric_balls if not _is_parameter(layout, ball))
+    balls = (ball for ball in plan.symmetric_balls if not _is_parameter(layout, ball))
     lines += [f"constant: {ball}" for ball in balls]
     lines += varying(plan)
     if note := large_angles(plan.scene.given.x[0], plan.system):
@@ -255,7 +255,7 @@ def seen_and_integrated(plan: Plan) -> list[str]:
     if forces.acting_on_base:
         labels = ", ".join(dict.fromkeys(forces.acting_on_base))
         lines.append(f"also integrated: momentum, because wrenches change it ({labels})")
-    elif observed and not plan.acting.momentum_changes:
+    elif observed and not plan.momentum_changes:
         lines.append("constant: momentum, because torques do not change it")
     return lines
 
@@ -331,7 +331,7 @@ def skipped(plan: Plan, *, zero_momentum: bool) -> list[str]:
     if not plan.wanted:
         lines.append("the base: it is not requested")
     if group.linear:
-        if plan.acting.wrench and plan.wanted:
+        if plan.wrench and plan.wanted:
             lines.append("translation of the base: it follows the centre of mass")
         else:
             lines.append("translation of the base: the centre of mass moves on a known path")
@@ -342,19 +342,17 @@ def skipped(plan: Plan, *, zero_momentum: bool) -> list[str]:
             lines.append("all terms with momentum: it is zero, and the base follows the shape")
         else:
             lines.append("angular momentum: it follows from the attitude, or is constant")
-    if plan.acting.driven:
-        driven = ", ".join(names[k] for k in plan.acting.driven)
+    if plan.driven:
+        driven = ", ".join(names[k] for k in plan.driven)
         lines.append(f"dynamics of the prescribed joints: {driven}")
-    if plan.acting.cyclic:
-        cyclic = ", ".join(names[k] for k in plan.acting.cyclic)
+    if plan.cyclic:
+        cyclic = ", ".join(names[k] for k in plan.cyclic)
         lines.append(f"momenta of the cyclic joints, which are constant: {cyclic}")
     lines += [
-        f"{ball}, which is constant"
-        for ball in plan.acting.symmetric_balls
-        if _is_parameter(layout, ball)
+        f"{ball}, which is constant" for ball in plan.symmetric_balls if _is_parameter(layout, ball)
     ]
     if not system.m:
         lines.append("shape: there is none")
-    elif not plan.acting.gravity.any() and forces is None:
+    elif not plan.gravity.any() and forces is None:
         lines.append("potential: nothing acts on the shape")
     return lines

@@ -218,8 +218,8 @@ def test_push_along_free_slide(
     t = traj.t
     np.testing.assert_allclose(traj.x[:, 0], 0.1 + 0.3 * t - 0.5 * 0.8 / 2.0 * t**2, atol=1e-9)
     np.testing.assert_allclose(traj.pose[:, 0], 0.5 * 0.8 / 2.0 * t**2, atol=1e-9)
-    assert traj.plan.acting.cyclic == ()
-    assert pinred.simulate(system, **options).plan.acting.cyclic == (0,)
+    assert traj.plan.cyclic == ()
+    assert pinred.simulate(system, **options).plan.cyclic == (0,)
 
 
 @pytest.mark.slow
@@ -248,7 +248,7 @@ def test_torque_from_table_equals_aba(kind: Any, engine: Engine) -> None:
 
 def wheels(*forces: Force) -> tuple[int, ...]:
     """Return the cyclic joints of the reaction wheel satellite under some forces."""
-    return plan_of(pinred.Scene(system=SATELLITE, forces=forces)).acting.cyclic
+    return plan_of(pinred.Scene(system=SATELLITE, forces=forces)).cyclic
 
 
 def test_forces_on_wheels_make_them_acyclic() -> None:

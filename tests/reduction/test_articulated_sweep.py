@@ -97,7 +97,7 @@ def test_reduced_graph_rates_equal_pinocchio_route(name: str, zero: bool) -> Non
     y0, base = flow.y0, flow.base
     assert base.spin.any() != zero or not base.spin.size
     y = np.concatenate([y0[:m][active], y0[m : 2 * m][active], y0[:m][cyclic], y0[2 * m :]])
-    gravity = plan_of(scene).acting.gravity[list(layout.gravity)]
+    gravity = plan_of(scene).gravity[list(layout.gravity)]
     parameters = np.concatenate([base.spin, y0[m : 2 * m][cyclic], gravity, flow.parameters])
     assert (len(y), len(parameters)) == (layout.size, layout.parameters)
     rate = flow.rate(0.0, y0)

@@ -87,19 +87,18 @@ def test_plan_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_fields_of_plan_with_plan_wheel_and_wrench() -> None:
     """The scene has a prescribed joint, a cyclic wheel and a wrench."""
     system = pinred.load("reaction_wheel_satellite")
-    assert plan_of(pinred.Scene(system=system, seed=0)).acting.cyclic == (1, 2, 3)
+    assert plan_of(pinred.Scene(system=system, seed=0)).cyclic == (1, 2, 3)
     prescribed = {"wheel_x": pinred.signals.Fourier(0.0, [0.1], [0.0], 1.0)}
     scene = pinred.Scene(
         system=system, seed=0, prescribed=prescribed, forces=[Wrench([0, 0, 0, 0, 0, 1])]
     )
     found = plan_of(scene)
-    acting = found.acting
-    assert acting.driven == (1,)
-    assert acting.free == tuple(k for k in range(system.m) if k != 1)
-    assert acting.cyclic == (2, 3)
-    assert acting.momentum_changes
-    assert acting.wrench
-    assert not acting.turned
+    assert found.driven == (1,)
+    assert found.free == tuple(k for k in range(system.m) if k != 1)
+    assert found.cyclic == (2, 3)
+    assert found.momentum_changes
+    assert found.wrench
+    assert not found.turned
     assert found.structure(zero_momentum=True) is found.structure(zero_momentum=False)
     assert not found.stops.flags.writeable
 

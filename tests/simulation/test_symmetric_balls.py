@@ -194,9 +194,7 @@ def test_forces_and_asymmetries_make_ordinary_balls() -> None:
     """A spring, a torque, a centre of mass a nanometre away, moments that differ by 1e-9."""
     system = joined_bodies(MOMENTS, ROTOR)
     for force in (BallSpring("joint", 1.0), Torque({"joint.x": 0.1})):
-        assert (
-            plan_of(pinred.Scene(system=system, **START, forces=force)).acting.symmetric_balls == ()
-        )
+        assert plan_of(pinred.Scene(system=system, **START, forces=force)).symmetric_balls == ()
     other = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     for moments, offset in (
         (MOMENTS, ROTOR + 1e-9 * other),
@@ -205,7 +203,7 @@ def test_forces_and_asymmetries_make_ordinary_balls() -> None:
         (ball,) = pinred.inspect(joined_bodies(moments, offset)).symmetric_balls
         assert ball.axis is not None  # still a body of revolution
     drive = pinred.Scene(system=top(), **START, forces=Torque({"joint.x": 0.1}))
-    assert len(plan_of(drive).acting.symmetric_balls) == 1  # it has no moment about z
+    assert len(plan_of(drive).symmetric_balls) == 1  # it has no moment about z
     assert not pinred.inspect(joined_bodies()).symmetric_balls
 
 
@@ -230,7 +228,7 @@ def test_explain_and_inspect_report_symmetric_balls(capsys: pytest.CaptureFixtur
 def test_audit_finds_changes_of_constant_momenta(make: Any) -> None:
     """A rotation rate that grows by 1e-6 about the axis of symmetry after half of the motion."""
     traj = pinred.simulate(make(), **START, duration=1.0, rtol=1e-12, atol=1e-13)
-    balls, states = traj.plan.acting.symmetric_balls, traj.states
+    balls, states = traj.plan.symmetric_balls, traj.states
     drifts = axial_momentum_drifts(traj.system, balls, states)
     assert len(drifts) == (3 if balls[0].axis is None else 1)
     assert np.abs(drifts).max() <= 1e-13

@@ -200,34 +200,33 @@ def problem_of(
         outputs="shape",
     )
     plan, model = plan_of(scene), scene.force_model
-    acting = plan.acting
     if model is not None and (model.labels or model.has_wrench):
         raise InputError(
             f"forces: expected conservative forces, but {', '.join(model.labels)} does work; "
             "leave it out: `damped_growth` of an equilibrium gives the effect of dampers"
         )
     group = system.group
-    heavy = bool(acting.turned)
+    heavy = bool(plan.turned)
     x, rate = _steady(system, model, scene.end)
     momenta_by_name, names = dict(cyclic or {}), system.shape_names
-    momenta = np.zeros(len(acting.cyclic))
+    momenta = np.zeros(len(plan.cyclic))
     for name, value in momenta_by_name.items():
         k = joint_index(name, names, "cyclic")
-        if k not in acting.cyclic:
-            valid = ", ".join(names[j] for j in acting.cyclic) or "none"
+        if k not in plan.cyclic:
+            valid = ", ".join(names[j] for j in plan.cyclic) or "none"
             raise InputError(
                 f"cyclic: '{name}' is not cyclic, because something depends on its angle or drives "
                 f"it. The cyclic joints are {valid}"
             )
-        momenta[acting.cyclic.index(k)] = finite(value, f"cyclic['{name}']")
-    active = [k for k in range(system.m) if k not in acting.cyclic and k not in acting.driven]
+        momenta[plan.cyclic.index(k)] = finite(value, f"cyclic['{name}']")
+    active = [k for k in range(system.m) if k not in plan.cyclic and k not in plan.driven]
     return Problem(
         system=system,
         scene=scene,
         kind="heavy" if heavy else "free" if group.turns == 3 else "axis",
         active=tuple(active),
-        cyclic=acting.cyclic,
-        driven=acting.driven,
+        cyclic=plan.cyclic,
+        driven=plan.driven,
         cyclic_momenta=momenta,
         driven_x=x,
         driven_rate=rate,

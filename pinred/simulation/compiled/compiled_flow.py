@@ -48,7 +48,7 @@ class Constants:
     """Numbers of a flow that do not depend on the initial state, (…) or (N, …).
 
     Attributes:
-        gravity: Gravity, as in Acting, (…, 3) [m/s²].
+        gravity: Gravity, as in Plan, (…, 3) [m/s²].
         fall: Acceleration of the centre of mass in free fall, (…, k) [m/s²].
         bodies: Variable body parameters, (…, s).
         numbers: Force parameters, (…, p).
@@ -546,7 +546,7 @@ def kernel_of(
     structure = plan.structure(
         zero_momentum=zero_momentum, generic=generic, all_momenta=all_momenta
     )
-    system, forces = plan.acting.system, plan.acting.forces
+    system, forces = plan.system, plan.forces
     # Texts have cached hashes, unlike structures.
     key = once(structure, Kernel, lambda: repr((structure, None if forces is None else forces.key)))
     # Parameters are inputs of a kernel, so robots that differ only in parameters share it.
@@ -575,7 +575,7 @@ def flows_of(
     for first in range(0, len(given.x), _AT_ONCE):
         chunk = slice(first, first + _AT_ONCE)
         start = _initial_conditions(plan, given[chunk], own[chunk])
-        zeros = ~start.about.any(axis=1) & (not plan.acting.momentum_changes)
+        zeros = ~start.about.any(axis=1) & (not plan.momentum_changes)
         for zero in (False, True):
             indices = np.flatnonzero(zeros == zero)
             if indices.size:
@@ -596,7 +596,7 @@ def flows_of(
 def has_no_momentum(plan: Plan) -> bool:
     """Return whether the angular momentum of a plan is zero and stays zero."""
     start = _initial_conditions(plan, plan.scene.given, NO_DIFFERENCES)
-    return not plan.acting.momentum_changes and not start.about.any()
+    return not plan.momentum_changes and not start.about.any()
 
 
 def _stacked(flows: list[CompiledFlow], tables: SpanNumbers | None) -> CompiledFlow:
@@ -646,7 +646,7 @@ def _constants(plan: Plan, own: MemberParameters, kernel: Kernel) -> Constants:
         )
     gravity, fall = own.gravity, own.fall
     if gravity is None or fall is None:
-        gravity, fall = plan.acting.gravity, root_of(plan.system).g
+        gravity, fall = plan.gravity, root_of(plan.system).g
     freed = kernel.layout.freed
     bodies = free_numbers(plan.system, freed) if own.robot is None else own.robot
     numbers = plan.numbers if own.numbers is None else own.numbers
@@ -655,7 +655,7 @@ def _constants(plan: Plan, own: MemberParameters, kernel: Kernel) -> Constants:
 
 def _down(plan: Plan, attitude: Array, own: MemberParameters) -> Array:
     """Return the directions (N, 3), in the body frame, of the weight of pivoted bases."""
-    weight = plan.acting.weight
+    weight = plan.weight
     if own.gravity is None:
         return into_body(attitude, weight / np.linalg.norm(weight))
     units = own.gravity / np.linalg.norm(own.gravity, axis=1)[:, None]

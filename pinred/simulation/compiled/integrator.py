@@ -445,7 +445,7 @@ def _long_segment(
 
 def compiled_solver(plan: Plan) -> Solver:
     """Return the compiled engine for a plan."""
-    return Solver(plan.method.name, plan.method.order, CompiledFlow.of_plan, integrator, _motion)
+    return Solver(plan.method_name, plan.method.order, CompiledFlow.of_plan, integrator, _motion)
 
 
 def _motion(
@@ -455,7 +455,7 @@ def _motion(
     if plan.passes_stops and record is None:
         through = through_stops(flow, plan, progress)
         if through is not None:
-            return lambda: Motion(flow, through(), varies=bool(plan.acting.driven))
+            return lambda: Motion(flow, through(), varies=bool(plan.driven))
     integrate = integrator(flow, plan, progress)
     long = long_integrator(flow, plan, integrate, progress)
     return partial(follow, plan, flow, long or integrate, record, thinned=long is not None)

@@ -88,7 +88,7 @@ class Flow:
             if scene.bounds
             else Propagator(plan, zero_momentum=zero)
         )
-        self.input_map = Inputs(scene, self.propagator.kernel, plan.acting.gravity, wrt)
+        self.input_map = Inputs(scene, self.propagator.kernel, plan.gravity, wrt)
         self._rows = _checked_rows(of, wanted=plan.wanted)
         sizes = sizes_of(scene.system)
         ends = np.cumsum([0, *(sizes[row] for row in self._rows)]).tolist()

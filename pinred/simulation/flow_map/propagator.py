@@ -688,7 +688,7 @@ class Propagator:
                 f"a function of time is not smooth at t = {inside[0]:g} s, within the step of "
                 f"{h:g} s from {t:g} s; choose steps that end there"
             )
-        if t and plan.acting.driven:
+        if t and plan.driven:
             raise InputError("a step of a scene with prescribed joints begins at t = 0")
 
     def _outcome_points(self, flow: CompiledFlow, span: Span, solution: Solution) -> Array:
