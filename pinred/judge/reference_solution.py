@@ -16,7 +16,7 @@ from ..common.arrays import Array
 from ..common.errors import IntegrationError
 from ..forces.switch_times import time_within
 from ..scene.scene import Scene
-from ..simulation.control import Control, Replay
+from ..simulation.motion import Control, Replay
 from .distances import Distance, FullMotion, Size
 from .full_dynamics import FullDynamics
 from .reference_integrators import (

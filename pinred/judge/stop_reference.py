@@ -22,7 +22,7 @@ from ..forces.switch_times import time_within
 from ..reduction.inertia_split import symmetric
 from ..scene.scene import Scene
 from ..scene.stop import BallBound, BallStop, Stop
-from ..simulation.control import Replay
+from ..simulation.motion import Replay
 from ..simulation.trajectory import Trajectory
 from ..system.loops.kinematics import LoopKinematics
 from .distances import FullMotion

@@ -38,7 +38,6 @@ from ..system.system import System
 from .balances import driving_torques
 from .checkpoint import Checkpoint, Part
 from .compiled.compiled_flow import CompiledFlow
-from .control import Control, ControlAction
 from .events import RootSearch, Watch, cut_at
 from .impacts import (
     Impact,
@@ -49,7 +48,7 @@ from .impacts import (
     solve_complementarity,
     table_of,
 )
-from .motion import Motion, Solver
+from .motion import Control, ControlAction, Motion, Solver
 from .plan import Plan, plan_of
 from .reduced_flow import Integrate, ModeFlow, ReducedFlow, Sample, Segment
 

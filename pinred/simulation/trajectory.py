@@ -29,11 +29,10 @@ if TYPE_CHECKING:
     from ..system.system import System
     from .balances import EnergyBalance, MomentumBalance
     from .checkpoint import Checkpoint
-    from .control import ControlAction
     from .events import Crossings
     from .impacts import ImpactTable
     from .limit_excess import LimitTable
-    from .motion import Motion, Solver
+    from .motion import ControlAction, Motion, Solver
 
 
 @dataclass(frozen=True)
