@@ -377,14 +377,14 @@ class _Loose:
 
 
 def _of_order(patch: pytest.MonkeyPatch) -> None:
-    correct = run_with_stops._Run._next
+    correct = run_with_stops.RunWithStops._next
 
     def together(self: Any, *of: Any) -> Any:
         with pytest.MonkeyPatch.context() as inner:
             inner.setattr(self, "scene", _Loose(self.scene))
             return correct(self, *of)
 
-    patch.setattr(run_with_stops._Run, "_next", together)
+    patch.setattr(run_with_stops.RunWithStops, "_next", together)
 
 
 def _of_reactions(patch: pytest.MonkeyPatch) -> None:

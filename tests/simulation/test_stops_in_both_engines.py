@@ -260,7 +260,7 @@ def test_rest_is_decided_with_the_state_of_the_motion_at_an_impact(
     engine: Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The twist that reactions depend on is the one before the impact, whatever the segment."""
-    seen, sample = [], run_with_stops._Run._sample
+    seen, sample = [], run_with_stops.RunWithStops._sample
 
     def kept(run: Any, state: Any, x: Array, xdot: Array) -> Any:
         result = sample(run, state, x, xdot)
@@ -268,7 +268,7 @@ def test_rest_is_decided_with_the_state_of_the_motion_at_an_impact(
             seen.append((state.t, result.xi[0]))
         return result
 
-    monkeypatch.setattr(run_with_stops._Run, "_sample", kept)
+    monkeypatch.setattr(run_with_stops.RunWithStops, "_sample", kept)
     traj = simulated(led(0.0), engine)
     assert len({t for t, _ in seen} & {*traj.impacts.t}) == len(traj.impacts)
     for t, xi in seen:
