@@ -140,23 +140,23 @@ def _key_of_state(value: Any) -> Hashable:
 
 def key_of_option(value: Any) -> Hashable:
     """Return the key of an option that does not belong to the initial state."""
-    kind = type(value)
-    if kind in PLAIN:
-        return kind, value
-    if kind in (dict, tuple) and not value:
-        return kind.__name__
-    if kind is np.ndarray:
+    value_type = type(value)
+    if value_type in PLAIN:
+        return value_type, value
+    if value_type in (dict, tuple) and not value:
+        return value_type.__name__
+    if value_type is np.ndarray:
         return key_of(value)
-    if kind is list and {*map(type, value)} <= _NUMBERS:
-        return kind, tuple(map(type, value)), tuple(value)
+    if value_type is list and {*map(type, value)} <= _NUMBERS:
+        return value_type, tuple(map(type, value)), tuple(value)
     if isinstance(value, Force):
         return key_of_force(value)
-    if kind in (list, tuple) and any(isinstance(entry, Force) for entry in value):
-        return kind, tuple(map(key_of_option, value))
+    if value_type in (list, tuple) and any(isinstance(entry, Force) for entry in value):
+        return value_type, tuple(map(key_of_option, value))
     if isinstance(value, Method):
         # Equal methods may differ in whether the user stated their tolerances.
-        return kind, key_of(vars(value))
-    if kind is MappingProxyType:
+        return value_type, key_of(vars(value))
+    if value_type is MappingProxyType:
         return key_of(dict(value))
     return key_of(value)
 
@@ -266,8 +266,8 @@ class Scene(SceneFields):
         for name in ARRAYS_OF_STATE:
             if values[name] is not None:
                 values[name] = copied(values[name])
-        values["_given"] = given = self._resolve()
-        if self.bounds and (reasons := starts_beyond(self.bounds, given.x)):
+        values["_given"] = initial = self._resolve()
+        if self.bounds and (reasons := starts_beyond(self.bounds, initial.x)):
             raise InputError(reasons[0])
 
     def _check_structure(self) -> Shared:
@@ -440,8 +440,8 @@ class Scene(SceneFields):
         self._keep("controls", controls)
         file_forces = (*file_forces, *actuation(self.system, controls))
         watched = self._check_events()
-        held: Mapping[str, Constant | Attitude] = vars(self)["_held_plans"]
-        if not (self.springs or forces or file_forces or prescribed or held):
+        constant_plans: Mapping[str, Constant | Attitude] = vars(self)["_held_plans"]
+        if not (self.springs or forces or file_forces or prescribed or constant_plans):
             self._keep("_forces", None)
             self._check_parameters(watched)
             return
@@ -451,7 +451,7 @@ class Scene(SceneFields):
 
         acting = (*forces, *file_forces)
         model = cached_force_model(
-            self.system, self.springs, acting, {**prescribed, **held}, self.varied
+            self.system, self.springs, acting, {**prescribed, **constant_plans}, self.varied
         )
         self._check_parameters((*model.parameters, *watched))
         model = model.with_values(self.parameters)
@@ -576,9 +576,9 @@ class Scene(SceneFields):
 
     def _closed_state(self, x: Array, xdot: Array) -> tuple[Array, Array]:
         """Return the nearest state that closes all loops, and store it as x0 and xdot0."""
-        held: tuple[HeldJoints, HeldJoints] = vars(self)["_held"]
+        held_joints: tuple[HeldJoints, HeldJoints] = vars(self)["_held"]
         report = self.q0 is not None, self.v0 is not None
-        x, xdot = closed_state(self.system, x, xdot, held, report, self.force_model)
+        x, xdot = closed_state(self.system, x, xdot, held_joints, report, self.force_model)
         # A copy of the scene then starts at the same state, although it has no joint names.
         for name, values in (("x0", x), ("xdot0", xdot)):
             if getattr(self, name) is not None:
@@ -641,7 +641,7 @@ def _stops(stops: Any) -> list[tuple[str, str]]:
 def scene_card(scene: Any) -> str:
     """Return the initial state, the forces and the settings of a Scene as HTML."""
     system, start = scene.system, scene.start
-    rows = [
+    joints = [
         (joint.name, numbers(start.x[joint.x]), numbers(start.xdot[joint.v]))
         if joint.kind.is_ball
         else (joint.name, float(start.x[joint.x][0]), float(start.xdot[joint.v][0]))
@@ -662,7 +662,7 @@ def scene_card(scene: Any) -> str:
         f"Scene of {system.name}",
         f"{scene.end:g} s, {len(scene.report_times)} times, rtol {scene.rtol:g}, "
         f"atol {scene.atol:g}, {method}, outputs '{scene.outputs}'",
-        table("start", ["joint", "x", "rate"], rows),
+        table("start", ["joint", "x", "rate"], joints),
         line(f"twist of the base: {numbers(start.xi)}"),
         line(f"pose of the base: {numbers(start.pose)}"),
         table("acting", ["", ""], acting),

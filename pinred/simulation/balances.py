@@ -70,13 +70,13 @@ class EnergyBalance(FrozenArrays):
     def _repr_html_(self) -> str:
         from ..common.html import card, table
 
-        rows = [
+        entries = [
             ("energy at the start", float(self.energy[0])),
             *((f"work of {k}", float(w)) for k, w in zip(self.labels, self.work[-1], strict=True)),
             ("energy at the end", float(self.energy[-1])),
             ("largest residual", float(np.abs(self.residual).max())),
         ]
-        return card("Energy", f"balance to {self.t[-1]:g} s", table("", ["", "J"], rows))
+        return card("Energy", f"balance to {self.t[-1]:g} s", table("", ["", "J"], entries))
 
 
 @checks_arguments
@@ -104,9 +104,9 @@ class MomentumBalance(FrozenArrays):
 
         J, worst = self.momentum, np.abs(self.residual).max(axis=0)
         columns = np.column_stack([J[0], self.impulse[-1], J[-1], worst])
-        rows = [[str(k), *row.tolist()] for k, row in enumerate(columns)]
+        components = [[str(k), *numbers.tolist()] for k, numbers in enumerate(columns)]
         head = ["component", "start", "impulse", "end", "largest residual"]
-        return card("Spatial momentum", f"balance to {self.t[-1]:g} s", table("", head, rows))
+        return card("Spatial momentum", f"balance to {self.t[-1]:g} s", table("", head, components))
 
 
 def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
@@ -257,13 +257,13 @@ def torques_of_motion(plan: Plan, motion: Motion, t: Array) -> tuple[Array, Arra
     samples, numbers = motion.samples(t)
     driven = len(plan.driven)
     driving, reactions = np.zeros((len(t), driven)), np.zeros((len(t), plan.system.m))
-    for rest, rows in motion.resting(t):
-        chosen = map_samples(lambda field, rows=rows: field[0][rows], [samples])
-        torques = driving_torques(plan, t[rows], chosen, numbers[rows], rest)
-        driving[rows] = torques[:, :driven]
-        for k, bound in enumerate(rest):
+    for stops, indices in motion.resting(t):
+        chosen = map_samples(lambda field, indices=indices: field[0][indices], [samples])
+        torques = driving_torques(plan, t[indices], chosen, numbers[indices], stops)
+        driving[indices] = torques[:, :driven]
+        for k, bound in enumerate(stops):
             normals = np.array([bound.normal(x, plan.system.m) for x in chosen.x])
-            reactions[rows] += torques[:, driven + k, None] * normals
+            reactions[indices] += torques[:, driven + k, None] * normals
     return read_only(driving), read_only(reactions)
 
 
@@ -288,9 +288,9 @@ def driving_torques(
     torques = np.empty((len(t), count))
     count = max(1, _ENTRIES // plan.system.n**2)
     for first in range(0, len(t), count):
-        rows = slice(first, first + count)
-        chunk = map_samples(lambda field, rows=rows: field[0][rows], [samples])
-        torques[rows] = _driving_torques(plan, t[rows], chunk, numbers[rows], rest)
+        chunk_at = slice(first, first + count)
+        chunk = map_samples(lambda field, chunk_at=chunk_at: field[0][chunk_at], [samples])
+        torques[chunk_at] = _driving_torques(plan, t[chunk_at], chunk, numbers[chunk_at], rest)
     return read_only(torques)
 
 
@@ -313,14 +313,14 @@ def _driving_torques(
     surfaces = [bound for bound, is_on in zip(rest, on_surface, strict=True) if is_on]
     reactions = np.empty((len(t), len(surfaces)))
     if system.closure is not None or surfaces:
-        for k, row in enumerate(loads):
+        for k, load in enumerate(loads):
             J, bias = _constraints(system, samples.x[k], samples.xdot[k], surfaces)
             bias = bias + J[:, driven] @ a[k, driven]
             right = np.column_stack([free_force[k], J[:, free].T])
             solved = np.linalg.solve(H[k][np.ix_(free, free)], right)
             mobility = J[:, free] @ solved[:, 1:]
             multipliers = np.linalg.solve(mobility, -bias - J[:, free] @ solved[:, 0])
-            row[:] = multipliers @ J
+            load[:] = multipliers @ J
             reactions[k] = multipliers[len(J) - len(surfaces) :]
     right = (free_force + loads[:, free])[..., None]
     a[:, free] = np.linalg.solve(H[:, free[:, None], free], right)[..., 0]
@@ -363,14 +363,14 @@ def _constraints(
 
     Base and free joints obey H a = F + Jᵀλ and J a + J̇ v = 0.
     """
-    rows, rates = [np.zeros((0, system.m))], [np.zeros((0, system.m))]
+    gradients, rates = [np.zeros((0, system.m))], [np.zeros((0, system.m))]
     if system.closure is not None:
-        rows.append(loop_jacobian(system, x)[system.closure.rows])
+        gradients.append(loop_jacobian(system, x)[system.closure.rows])
         rates.append(loop_jacobian_rate(system, x, xdot)[system.closure.rows])
     for bound in surfaces:
-        rows.append(bound.normal(x, system.m)[None])
+        gradients.append(bound.normal(x, system.m)[None])
         rates.append(bound.normal_rate(x, xdot)[None])
-    on_shape = np.vstack(rows)
+    on_shape = np.vstack(gradients)
     J = np.hstack([np.zeros((len(on_shape), system.r)), on_shape])
     return J, np.vstack(rates) @ xdot
 

@@ -333,8 +333,8 @@ def _fingerprint_of(flow: CompiledFlow, plan: Plan) -> str:
 
     kernel, scene = flow.kernel, plan.scene
     forces = kernel.forces
-    held = [] if forces is None else forces.held
-    controllers = [(c.name, c.period) for c, _ in held]
+    controllers_held = [] if forces is None else forces.held
+    controllers = [(c.name, c.period) for c, _ in controllers_held]
     watched = scene.watched
     events = [(e.name, e.direction, e.terminal) for e in scene.events_given]
     settings = [

@@ -208,13 +208,13 @@ def _rates(system: System, forces: ForceModel, numbers: Array) -> Rates:
         base = BaseInSpace(system.group.identity(), xi, np.zeros(r), np.zeros(r))
         return forces.acting(ForceInputs(0.0, x, xdot, xi, np.zeros(r), numbers, base)).torque
 
-    rest, move, zeros = system.space.neutral, system.space.integrate, np.zeros(m)
+    x0, move, zeros = system.space.neutral, system.space.integrate, np.zeros(m)
     K, D = np.empty((m, m)), np.empty((m, m))
     for k in range(m):
         e = np.zeros(m)
         e[k] = _STEP
-        K[:, k] = (torque(move(rest, -e), zeros) - torque(move(rest, e), zeros)) / (2.0 * _STEP)
-        D[:, k] = (torque(rest, -e) - torque(rest, e)) / (2.0 * _STEP)
+        K[:, k] = (torque(move(x0, -e), zeros) - torque(move(x0, e), zeros)) / (2.0 * _STEP)
+        D[:, k] = (torque(x0, -e) - torque(x0, e)) / (2.0 * _STEP)
     free = np.setdiff1d(np.arange(m), list(forces.joints))
     K, D, M = (matrix[np.ix_(free, free)] for matrix in (K, D, at.reduced_metric))
     with np.errstate(over="ignore", invalid="ignore"):

@@ -154,14 +154,14 @@ def refuse_singular_shapes(
         span = (float(times[first]), float(times[last]))
         from scipy.optimize import minimize_scalar
 
-        found = minimize_scalar(value, bounds=span, method="bounded", options={"xatol": 1e-12})
-        if passed[k] or min(found.fun, values[k]) < _SINGULAR:
-            at = shapes_at(np.array([found.x]))[0]
+        minimum = minimize_scalar(value, bounds=span, method="bounded", options={"xatol": 1e-12})
+        if passed[k] or min(minimum.fun, values[k]) < _SINGULAR:
+            at = shapes_at(np.array([minimum.x]))[0]
             raise SingularLoopsError(
                 f"the equations of the loops {_names(system)} of '{system.name}' become dependent "
-                f"at t = {found.x:g} s, x = {at}. There the motion can continue in several ways. "
+                f"at t = {minimum.x:g} s, x = {at}. There the motion can continue in several ways. "
                 "End the motion earlier, or avoid the shape with a limit or a spring.",
-                float(found.x),
+                float(minimum.x),
             )
 
 
@@ -196,9 +196,9 @@ def loop_forces(plan: Plan, states: State, samples: Sample, numbers: Array) -> M
     for k in range(count if system.loops else 0):
         force = None if acting is None else np.append(acting.wrench[k], acting.torque[k])
         multipliers = _multipliers(plan, states, k, force, accelerations[k])
-        for loop, rows in zip(system.loops, loop_kinematics(system).rows, strict=True):
-            own = multipliers[rows]
-            wrenches[loop.name][k] = _wrench(loop.kind, own) if isinstance(loop, Loop) else own
+        for loop, equations in zip(system.loops, loop_kinematics(system).rows, strict=True):
+            lam = multipliers[equations]
+            wrenches[loop.name][k] = _wrench(loop.kind, lam) if isinstance(loop, Loop) else lam
     return NamedResults("loop", {name: read_only(wrench) for name, wrench in wrenches.items()})
 
 

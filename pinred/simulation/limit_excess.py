@@ -69,8 +69,8 @@ class LimitTable:
     @property
     def exceeded(self) -> tuple[LimitUse, ...]:
         """The limits that the motion exceeds, the largest relative excess first."""
-        beyond = [row for row in self.rows if row.excess > 0.0]
-        return tuple(sorted(beyond, key=lambda row: -_relative(row)))
+        beyond = [use for use in self.rows if use.excess > 0.0]
+        return tuple(sorted(beyond, key=lambda use: -_relative(use)))
 
     def __iter__(self) -> Iterator[LimitUse]:
         return iter(self.rows)
@@ -91,8 +91,8 @@ class LimitTable:
         from ..common.html import card, table
 
         heads = ["joint", "kind", "lower", "upper", "least", "greatest", "excess", "at t [s]"]
-        rows = [_cells(row) for row in self.rows]
-        return card("limits of the file", f"{len(self.exceeded)} exceeded", table("", heads, rows))
+        cells = [_cells(use) for use in self.rows]
+        return card("limits of the file", f"{len(self.exceeded)} exceeded", table("", heads, cells))
 
 
 def limit_table(plan: Plan, motion: Motion) -> LimitTable:
@@ -106,8 +106,8 @@ def limit_table(plan: Plan, motion: Motion) -> LimitTable:
     """
     ends = np.concatenate([[0.0], motion.knots])
     ends = ends[ends <= plan.scene.end]
-    parts = np.linspace(0.0, 1.0, _INSIDE + 2)[:-1]
-    inside = (ends[:-1, None] + np.diff(ends)[:, None] * parts).ravel()
+    fractions = np.linspace(0.0, 1.0, _INSIDE + 2)[:-1]
+    inside = (ends[:-1, None] + np.diff(ends)[:, None] * fractions).ravel()
     t = _some(np.unique(np.concatenate([inside, ends, plan.scene.report_times])), _MOST_TIMES)
     times = _some(t, _MOST_EFFORTS)
     is_bounded = any(limit.kind == "effort" for limit in limits_of(plan.system))
@@ -277,8 +277,8 @@ def _efforts(plan: Plan, motion: Motion, t: Array) -> dict[str, Array]:
             model = cached_force_model(
                 scene.system, scene.springs, [*passive, *scene.own_forces], {}, scene.varied
             ).with_values(scene.parameters)
-            own = np.tile(model.numbers_from(0.0, scene.end), (len(t), 1))
-            torque = torque - model.acting(samples.force_inputs(t, own)).torque
+            own_numbers = np.tile(model.numbers_from(0.0, scene.end), (len(t), 1))
+            torque = torque - model.acting(samples.force_inputs(t, own_numbers)).torque
         for joint in space.joints:
             column = torque[:, joint.v]
             if joint.kind.m == 1 and column.any():

@@ -95,7 +95,7 @@ class Control:
         forces = self._forces
         if forces is None:
             return stop
-        near, seen = _ROUND_OFF * self._scene.end, None
+        near, sample = _ROUND_OFF * self._scene.end, None
         for k, (controller, where) in enumerate(forces.held):
             if self._until[k] <= t + near:  # the pulse has ended
                 numbers[where], self._until[k] = 0.0, np.inf
@@ -103,8 +103,8 @@ class Control:
             count = round(t / controller.period)
             if count > self._called[k] and abs(t / controller.period - count) < _DUE:
                 self._called[k] = count
-                seen = see() if seen is None else seen
-                numbers[where], self._until[k] = self._call(k, t, seen)
+                sample = see() if sample is None else sample
+                numbers[where], self._until[k] = self._call(k, t, sample)
         until = min([stop, *(u for u in self._until if u < stop - near)])
         forces.set_span(numbers, time_within(t, until))
         return until
@@ -160,16 +160,16 @@ class Control:
 
 
 def _saved_action(action: ControlAction) -> dict[str, Any]:
-    seen = vars(action.seen) | {"base": action.seen.base and dict(vars(action.seen.base))}
-    return vars(action) | {"torque": dict(action.torque), "seen": seen}
+    observed = vars(action.seen) | {"base": action.seen.base and dict(vars(action.seen.base))}
+    return vars(action) | {"torque": dict(action.torque), "seen": observed}
 
 
 def _restored_action(saved: Mapping[str, Any]) -> ControlAction:
-    seen = dict(saved["seen"])
-    seen["base"] = seen["base"] and BaseInSpace(**seen["base"])
+    observed = dict(saved["seen"])
+    observed["base"] = observed["base"] and BaseInSpace(**observed["base"])
     wrench = saved["wrench"]
     wrench = wrench if wrench is None else read_only(wrench)
-    return ControlAction(**{**saved, "wrench": wrench, "seen": Sample(**seen)})
+    return ControlAction(**{**saved, "wrench": wrench, "seen": Sample(**observed)})
 
 
 def _measured(t: float, seen: Sample, system: System) -> SeenState:
@@ -350,9 +350,9 @@ class Motion:
         if len(self.segments) == 1:
             return np.asarray(self.segments[0].at(t))
         y = np.zeros((len(t), self._width))
-        for k, rows in self._by_segment(self._which(t)):
-            states = self.segments[k].at(t[rows])
-            y[rows, : states.shape[1]] = states
+        for k, indices in self._by_segment(self._which(t)):
+            states = self.segments[k].at(t[indices])
+            y[indices, : states.shape[1]] = states
         return y
 
     def states(self, t: Array) -> State | ShapeState:
@@ -366,13 +366,13 @@ class Motion:
         """Return the states at times (T,) that forces depend on, and force parameters, (T, p)."""
         y, which = self.reduced(t), self._which(t)
         numbers = np.array(self.numbers(t)).reshape(len(t), -1)
-        parts, order = [], []
-        for k, rows in self._by_segment(which):
+        samples, order = [], []
+        for k, indices in self._by_segment(which):
             parameters = self.segments[k].parameters
-            parts.append(self.flow_of(k).samples(t[rows], y[rows], parameters))
-            order.append(rows)
+            samples.append(self.flow_of(k).samples(t[indices], y[indices], parameters))
+            order.append(indices)
         inverse_order = np.argsort(np.concatenate(order))
-        return map_samples(lambda columns: np.concatenate(columns)[inverse_order], parts), numbers
+        return map_samples(lambda columns: np.concatenate(columns)[inverse_order], samples), numbers
 
     def numbers(self, t: Array) -> list[Array]:
         """Return the force parameters (p,) at each of times (T,)."""
@@ -382,12 +382,12 @@ class Motion:
         """Return reduced states and their rates at times (T,), without round-off of the time."""
         y, which = np.array(self.reduced(t)), self._which(t)
         rates = np.zeros_like(y)
-        for k, rows in self._by_segment(which):
+        for k, indices in self._by_segment(which):
             flow, parameters = self.flow_of(k), self.segments[k].parameters
-            states = y[rows, : len(flow.y0)]
-            states[:, flow.clock] = t[rows, None]
-            y[rows, : len(flow.y0)] = states
-            rates[rows, : len(flow.y0)] = flow.rates(t[rows], states, parameters)
+            states = y[indices, : len(flow.y0)]
+            states[:, flow.clock] = t[indices, None]
+            y[indices, : len(flow.y0)] = states
+            rates[indices, : len(flow.y0)] = flow.rates(t[indices], states, parameters)
         return Changes(which, y, rates)
 
     def beside(self, t: Array, changes: Changes, s: Array) -> Array:
@@ -408,12 +408,14 @@ class Motion:
 
     def _states(self, t: Array, y: Array, which: Indices) -> State | ShapeState:
         """Compute full states from reduced states of several segments."""
-        parts, order = [], []
-        for k, rows in self._by_segment(which):
-            parts.append(self.flow_of(k).states(t[rows], y[rows], self.segments[k].parameters))
-            order.append(rows)
+        states, order = [], []
+        for k, indices in self._by_segment(which):
+            states.append(
+                self.flow_of(k).states(t[indices], y[indices], self.segments[k].parameters)
+            )
+            order.append(indices)
         inverse_order = np.argsort(np.concatenate(order))
-        return map_arrays(lambda *columns: np.concatenate(columns)[inverse_order], *parts)
+        return map_arrays(lambda *columns: np.concatenate(columns)[inverse_order], *states)
 
     def _by_segment(self, which: Indices) -> Iterator[tuple[int, Indices]]:
         """Yield the index of each segment in `which`, with the indices of the times in it."""

@@ -179,9 +179,9 @@ def _write_npz(traj: OverTime, file: BinaryIO) -> None:
 def _write_keyframes(traj: OverTime, file: BinaryIO) -> None:
     from ..system.mjcf.keyframe_export import write_keyframes
 
-    out = traj.states
-    rows = zip(out.t.tolist(), out.pose, out.x, out.xi, out.xdot, strict=True)
-    file.write(write_keyframes(traj.system, rows).encode())
+    states = traj.states
+    keyframes = zip(states.t.tolist(), states.pose, states.x, states.xi, states.xdot, strict=True)
+    file.write(write_keyframes(traj.system, keyframes).encode())
 
 
 def _arrays(traj: OverTime) -> dict[str, Any]:
@@ -225,14 +225,14 @@ def _derivation_array(origin: Origin | None) -> dict[str, Any]:
     """Return how a system was made from others, as an array with one JSON text."""
     if origin is None or origin.derivation is None:
         return {}
-    made = origin.derivation
+    source = origin.derivation
     systems = []
-    for system in made.systems:
+    for system in source.systems:
         entries = {name: value.tolist() for name, value in robot_arrays(system).items()}
         if system.origin is not None and system.origin.text is not None:
             entries["text"] = system.origin.text
         systems.append(entries)
-    recipe = {"function": made.function, "arguments": dict(made.arguments), "systems": systems}
+    recipe = {"function": source.function, "arguments": dict(source.arguments), "systems": systems}
     return {"derivation": np.array(json.dumps(recipe, ensure_ascii=False))}
 
 
@@ -325,8 +325,8 @@ def _write_hdf5(traj: OverTime, file: BinaryIO) -> None:
     with h5py.File(buffer, "w") as root:
         for name in arrays.keys() - stored.keys():
             if name.startswith("impact_"):  # attributes hold 64 kB at most
-                kind = h5py.string_dtype() if arrays[name].dtype.kind == "U" else float
-                root.create_dataset(name, data=arrays[name].tolist(), dtype=kind)
+                dtype = h5py.string_dtype() if arrays[name].dtype.kind == "U" else float
+                root.create_dataset(name, data=arrays[name].tolist(), dtype=dtype)
             else:
                 root.attrs[name] = arrays[name].tolist()
         for name, array in stored.items():

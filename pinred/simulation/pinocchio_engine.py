@@ -85,9 +85,9 @@ class Base:
         attitude, _, momentum, _ = self.parts.split(b)
         if self.parts.spin:
             momentum = _into_body(attitude, self.spin) if self.parts.spin == 3 else self.spin
-        out = self._none.copy()
-        out[self._k :] = momentum
-        return out
+        body_momentum = self._none.copy()
+        body_momentum[self._k :] = momentum
+        return body_momentum
 
     def body_weight(self, b: Array) -> Array:
         """Return gravity's force (3,) [N] in the body frame if gravity rotates the base, else 0."""
@@ -124,8 +124,8 @@ class Base:
         elif self.parts.momentum:
             rates.append(moment)
         if self.parts.push:
-            turned = self._group.turned(self._normal(attitude), force)
-            rates += [push[self._k :] / self._mass, turned]
+            in_space = self._group.turned(self._normal(attitude), force)
+            rates += [push[self._k :] / self._mass, in_space]
         return np.concatenate(rates) if rates else np.empty(0)
 
     def pose(self, b: Array, com: Array, t: Array) -> Array:
@@ -321,8 +321,8 @@ class PinocchioFlow:
 
     def rates(self, t: Array, y: Array, numbers: Array) -> Array:
         """Return dy/dt (T, k) at times t (T,) of reduced states y (T, k)."""
-        rows = zip(t.tolist(), y, strict=True)
-        return np.array([self.rate(time, row, numbers) for time, row in rows]).reshape(y.shape)
+        pairs = zip(t.tolist(), y, strict=True)
+        return np.array([self.rate(time, y_t, numbers) for time, y_t in pairs]).reshape(y.shape)
 
     def rate(self, t: float, y: Array, numbers: Array | None = None) -> Array:
         """Return dy/dt, (k,), with force parameters (p,); None for the initial parameters."""
@@ -365,7 +365,7 @@ class PinocchioFlow:
 
     def samples(self, t: Array, y: Array, numbers: Array) -> Sample:
         """Return the states at times (T,) that forces depend on, from reduced states (T, k)."""
-        samples = [self.sample(time, row, numbers) for time, row in zip(t.tolist(), y, strict=True)]
+        samples = [self.sample(time, y_t, numbers) for time, y_t in zip(t.tolist(), y, strict=True)]
         return map_samples(np.array, samples)
 
     def _in_space(self, t: float, b: Array, x: Array, v: Array, com: Array) -> BaseInSpace:
@@ -479,8 +479,8 @@ class PinocchioFlow:
                 rates.append(quaternion_rate(q, xdot[joint.v]))
                 continue
             turn = quaternion_rate(on_surfaces(surfaces, q), xdot[joint.v])
-            parts = [each for each in quaternion_parts(surfaces) if np.trace(each[0]) > 1.5]
-            scaled = [np.linalg.norm(P @ q) / radius * (P @ turn) for P, radius in parts]
+            projections = [p for p in quaternion_parts(surfaces) if np.trace(p[0]) > 1.5]
+            scaled = [np.linalg.norm(P @ q) / radius * (P @ turn) for P, radius in projections]
             rates.append(np.sum(scaled, axis=0))
         return rates
 

@@ -77,7 +77,7 @@ class MemberParameters:
     def __getitem__(self, members: Any) -> MemberParameters:
         """Return the parameters of the selected member or members."""
         columns: Any = vars(self).values()
-        return MemberParameters(*(None if rows is None else rows[members] for rows in columns))
+        return MemberParameters(*(None if a is None else a[members] for a in columns))
 
 
 NO_DIFFERENCES = MemberParameters()
@@ -301,7 +301,7 @@ class Plan:
         lifted = self.method.symplectic and constant
         lifted_balls = self.method.symplectic and bool(self.system.space.balls)
         any_gravity = generic and varied is not None and varied.gravity_name() == "gravity"
-        freed = self.freed(generic=generic)
+        variables = self.freed(generic=generic)
         # Lifted balls have conjugate momenta, none of which is constant.
         symmetric = () if lifted_balls or all_momenta else self.symmetric_balls
 
@@ -316,10 +316,10 @@ class Plan:
                 base=self.wanted,
                 lifted=lifted,
                 lifted_balls=lifted_balls,
-                freed=freed,
+                freed=variables,
             )
 
-        key = zero, self.wanted, lifted, lifted_balls, freed, any_gravity, all_momenta
+        key = zero, self.wanted, lifted, lifted_balls, variables, any_gravity, all_momenta
         return once(*_owner(self.scene, Structure, *key), make)
 
     def layout(self, *, zero_momentum: bool, generic: bool = False) -> Layout:
@@ -373,8 +373,8 @@ def spans_between(stops: Array, reports: Array) -> list[Span]:
     spans, first, start = [], 0, 0.0
     for stop in stops.tolist():
         last = int(np.searchsorted(reports, stop, side="right"))
-        rows = slice(first, last)
-        spans.append(Span(start, stop, rows, read_only(reports[rows] - start)))
+        indices = slice(first, last)
+        spans.append(Span(start, stop, indices, read_only(reports[indices] - start)))
         first, start = last, stop
     return spans
 
@@ -604,9 +604,9 @@ def _group(members: Indices, plans: Sequence[Plan]) -> Group:
         parameters = replace(parameters, tables=tables_of_runs(tables))
     varied = plans[0].scene.varied
     if varied is not None:
-        freed = plans[0].freed(generic=True)
+        variables = plans[0].freed(generic=True)
         parameters = replace(
-            parameters, robot=np.array([free_numbers(p.system, freed) for p in plans])
+            parameters, robot=np.array([free_numbers(p.system, variables) for p in plans])
         )
         if varied.gravity:
             acting = np.array([plan.gravity for plan in plans])

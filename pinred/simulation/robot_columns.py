@@ -136,18 +136,18 @@ class RobotColumns:
         self, now: Mapping[str, Array], changed: Collection[str]
     ) -> Iterator[tuple[slice, Array, Callable[[], Slopes]]]:
         """Yield slices of the constants, their values, and functions that return derivatives."""
-        freed = self._layout.freed
+        variables = self._layout.freed
         for i, (moments, slopes) in self._varied.inertias(now, changed).items():
-            place, frame = self._among_constants(freed.of_inertia(i)), self._maps[i]
+            place, frame = self._among_constants(variables.of_inertia(i)), self._maps[i]
             yield place, frame @ moments, partial(_map_slopes, frame, slopes)
         for i, (joint, twists) in self._varied.placements(now, changed).items():
             body, nominal_place = self._bodies[i], self._system.sorted_model.jointPlacements[i + 1]
             parent = self._bodies[body.parent]
             placed = replace(body, **step_at(parent, body, nominal_place, joint))
-            place = self._among_constants(freed.of_step(i))
+            place = self._among_constants(variables.of_step(i))
             yield place, step_of_body(placed), partial(_step_slopes, parent, placed, twists)
         for k, body, link, twists in self._links(now):
-            place = self._among_constants(freed.of_link(k))
+            place = self._among_constants(variables.of_link(k))
             yield place, link_numbers(body, link), partial(_link_slopes, body, link, twists)
 
     def _among_constants(self, place: slice) -> slice:

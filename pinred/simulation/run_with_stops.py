@@ -201,8 +201,8 @@ class StoppedMotion(Motion):
 
     def resting(self, t: Array) -> Iterator[tuple[Rest, Indices]]:
         """Yield the stops at which joints rest; see Motion.resting."""
-        for k, rows in self._by_segment(self._which(t)):
-            yield self._of_segment[k].mode.rest, rows
+        for k, indices in self._by_segment(self._which(t)):
+            yield self._of_segment[k].mode.rest, indices
 
 
 def momentum_of(state: State | ShapeState, system: System) -> Array:
@@ -234,9 +234,9 @@ class _StopSearch(RootSearch):
             cling: Pull of a stop that counts as round-off.
         """
         bounds, at = mode.moving, flow.position_entries
-        own = [bound.surface is None and bound.v in at for bound in bounds]
-        self._polynomial = [k for k, is_own in enumerate(own) if is_own]
-        self._driven = [k for k, is_own in enumerate(own) if not is_own]
+        has_entry = [bound.surface is None and bound.v in at for bound in bounds]
+        self._polynomial = [k for k, is_own in enumerate(has_entry) if is_own]
+        self._driven = [k for k, is_own in enumerate(has_entry) if not is_own]
         count = len(self._driven) + len(mode.rest)
         super().__init__(np.ones(count), range(count))
         self._plan, self._mode, self._flow, self._numbers = plan, mode, flow, numbers
@@ -274,9 +274,9 @@ class _StopSearch(RootSearch):
         coefficients = self._bernstein @ gaps
         for step in np.flatnonzero((coefficients <= 0.0).any(axis=(1, 2))).tolist():
             for k in np.flatnonzero((coefficients[step] <= 0.0).any(axis=0)).tolist():
-                part = first_root(coefficients[step, :, k])
-                if part is not None:
-                    time = float(starts[step] + part * lengths[step])
+                fraction = first_root(coefficients[step, :, k])
+                if fraction is not None:
+                    time = float(starts[step] + fraction * lengths[step])
                     self.found.append((time, self._mode.moving[self._polynomial[k]]))
             if self.found:
                 return
@@ -479,38 +479,38 @@ class RunWithStops:
             stop = self._control.begin(
                 self._numbers, t, self._stop_after(t), partial(flow.sample, t, y, parameters)
             )
-            own = read_only(self._numbers.copy())
+            numbers = read_only(self._numbers.copy())
             parameters = read_only(self._commanded(flow, t, stop))
-            search = _StopSearch(self.plan, self._solver.degree, mode, flow, own, cling)
+            search = _StopSearch(self.plan, self._solver.degree, mode, flow, numbers, cling)
             if self.record is not None:
                 self.record.repeat(Part(t, stop, read_only(y), parameters))
             segment = mode.integrate(t, stop, read_only(y), parameters, search.look, self.record)
             is_hit = search.look(segment)
             if self.record is not None and segment.end < stop:
                 self.record.interrupt()
-            parts = cut_at(search.found[0][0], segment, mode.integrate) if is_hit else [segment]
-            if not parts and segment.end == stop <= t + self.scene.rtol * self.scene.end:
-                parts, is_hit = [segment], False  # too short for a gap above round-off
-            self._at_once = 0 if parts else self._at_once + 1
+            segments = cut_at(search.found[0][0], segment, mode.integrate) if is_hit else [segment]
+            if not segments and segment.end == stop <= t + self.scene.rtol * self.scene.end:
+                segments, is_hit = [segment], False  # too short for a gap above round-off
+            self._at_once = 0 if segments else self._at_once + 1
             if self._at_once > _MOST_AT_ONCE:
                 raise IntegrationError(
                     f"stops: '{self.system.name}' cannot leave its stop at t = {t:g} s. Increase "
                     "rest_rate, or loosen the tolerances"
                 )
-            if not parts:  # A force that jumps, or another impact, acts on a joint at its stop.
+            if not segments:  # A force that jumps, or another impact, acts on a joint at its stop.
                 return _State(t, flow, y, parameters), search
-            for part in parts:
-                ended = self._watch is not None and self._watch.look(part)
+            for new_segment in segments:
+                ended = self._watch is not None and self._watch.look(new_segment)
                 if ended and self._watch is not None and self._watch.end is not None:
                     t = self._watch.end.t
-                    cut = cut_at(t, part, mode.integrate)
+                    cut = cut_at(t, new_segment, mode.integrate)
                     phase.segments.extend(cut)
-                    phase.numbers.extend([own] * len(cut))
+                    phase.numbers.extend([numbers] * len(cut))
                     return _State(t, flow, y, parameters), None
-                phase.segments.append(part)
-                phase.numbers.append(own)
-            t = parts[-1].end
-            y = np.array(parts[-1].at(np.array([t]))[0])
+                phase.segments.append(new_segment)
+                phase.numbers.append(numbers)
+            t = segments[-1].end
+            y = np.array(segments[-1].at(np.array([t]))[0])
             if is_hit:
                 return _State(t, flow, y, parameters), search
         return _State(t, flow, y, parameters), None
@@ -620,8 +620,8 @@ class RunWithStops:
             if chosen.size:
                 rates = xdot.copy()
                 rates[self._rates] += inverse @ impulse
-                rest = tuple(bounds[k] for k in chosen)
-                resting[chosen], back = self._stays(state, rest, block, x, rates)
+                chosen_bounds = tuple(bounds[k] for k in chosen)
+                resting[chosen], back = self._stays(state, chosen_bounds, block, x, rates)
                 height[chosen] = rebound[chosen] ** 2 / (2.0 * np.maximum(back, 1e-300))
             leaves = slow & (rebound > slowest) & ~(resting & (height <= sustained))
             if not leaves.any():
@@ -759,17 +759,17 @@ def _impact(
     t: float, contact: _Contact, impulse: Array, after: Array, lost: Array, work: float
 ) -> Impact:
     """Return the rows of an impact; other arguments are those of Impact for all stops, (K,)."""
-    rows = np.flatnonzero(impulse)
-    bounds, u = [contact.bounds[k] for k in rows.tolist()], contact.u[rows]
+    hit = np.flatnonzero(impulse)
+    bounds, u = [contact.bounds[k] for k in hit.tolist()], contact.u[hit]
     sign = np.array([bound.sign for bound in bounds])
     ratio = np.array([bound.ratio for bound in bounds])
     return Impact(
         t=t,
         joint=tuple(bound.joint for bound in bounds),
         side=tuple(bound.side for bound in bounds),
-        impulse=sign * impulse[rows] / ratio,
-        rates=np.array([sign * u, sign * after[rows]]) * ratio,
-        energy_lost=lost[rows],
+        impulse=sign * impulse[hit] / ratio,
+        rates=np.array([sign * u, sign * after[hit]]) * ratio,
+        energy_lost=lost[hit],
         work_of_drives=work,
     )
 

@@ -283,13 +283,13 @@ def varying(plan: Plan, *, generic: bool = False) -> list[str]:
     varied = plan.scene.varied
     if varied is None:
         return []
-    freed, names = plan.freed(generic=generic), list(plan.system.sorted_model.names)
+    variables, names = plan.freed(generic=generic), list(plan.system.sorted_model.names)
     lines = []
-    if freed.inertias:
-        bodies = ", ".join(names[i + 1] for i in freed.inertias)
+    if variables.inertias:
+        bodies = ", ".join(names[i + 1] for i in variables.inertias)
         lines.append(f"inputs: inertias of the bodies on {bodies} (up to 1.2 × an evaluation)")
-    patterned = [names[i + 1] for i, pattern in freed.steps if "x" * 4 not in pattern]
-    general = [names[i + 1] for i, pattern in freed.steps if "x" * 4 in pattern]
+    patterned = [names[i + 1] for i, pattern in variables.steps if "x" * 4 not in pattern]
+    general = [names[i + 1] for i, pattern in variables.steps if "x" * 4 in pattern]
     if patterned:
         lines.append(
             f"inputs: placements of {', '.join(patterned)}, within their pattern of zeros and "
@@ -300,8 +300,8 @@ def varying(plan: Plan, *, generic: bool = False) -> list[str]:
             f"inputs: placements of {', '.join(general)}, of any kind (of all joints, two "
             "to five evaluations)"
         )
-    if freed.links:
-        links = ", ".join(str(plan.system.sorted_model.frames[k].name) for k in freed.links)
+    if variables.links:
+        links = ", ".join(str(plan.system.sorted_model.frames[k].name) for k in variables.links)
         lines.append(f"inputs: placements of {links} on their bodies, because forces act there")
     if varied.gravity:
         lines.append("inputs: gravity")

@@ -241,19 +241,19 @@ class Trajectory(OverTime):
     def _repr_html_(self) -> str:
         from ..common.html import card, line, number, table
 
-        out, run = self.outputs, self.run
-        rows = [
+        outputs, run = self.outputs, self.run
+        entries = [
             (name, float(x[0]), float(x[-1]), float(x.min()), float(x.max()))
-            for name, x in zip(self.system.x_names, out.x.T, strict=True)
+            for name, x in zip(self.system.x_names, outputs.x.T, strict=True)
         ]
         momenta = ""
-        lines = [f"energy [J]: {number(out.energy[0])} → {number(out.energy[-1])}"]
-        if isinstance(out, State):
-            group, (first, last) = self.system.group, out.pose[[0, -1]]
-            turned = float(group.error(first, last).rotation)
-            moved = float(np.linalg.norm((last - first)[: group.linear]))
-            lines.append(f"base: turned by {number(turned)} rad, moved by {number(moved)} m")
-            J = out.spatial_momentum
+        lines = [f"energy [J]: {number(outputs.energy[0])} → {number(outputs.energy[-1])}"]
+        if isinstance(outputs, State):
+            group, (first, last) = self.system.group, outputs.pose[[0, -1]]
+            rotation = float(group.error(first, last).rotation)
+            shift = float(np.linalg.norm((last - first)[: group.linear]))
+            lines.append(f"base: turned by {number(rotation)} rad, moved by {number(shift)} m")
+            J = outputs.spatial_momentum
             momenta = table(
                 "",
                 ["spatial momentum [N·s | N·m·s]", *group.twist_names],
@@ -263,7 +263,7 @@ class Trajectory(OverTime):
             self.system.name,
             f"{len(self)} times to {self.scene.end:g} s, {run.steps} steps of {run.method} "
             f"({run.engine}), {run.evaluations} evaluations in {run.wall:.3g} s",
-            table("shape [rad | m]", ["joint", "start", "end", "least", "greatest"], rows),
+            table("shape [rad | m]", ["joint", "start", "end", "least", "greatest"], entries),
             *map(line, (*lines, *run.notices)),
             momenta,
         )

@@ -67,10 +67,10 @@ def read_columns(path: Path, columns: Sequence[str | int]) -> Array:
     text = read_text(path, "csv file")
     try:
         lines = [
-            (reader.line_num, [cell.strip() for cell in row])
+            (reader.line_num, [cell.strip() for cell in cells])
             for reader in [csv.reader(io.StringIO(text, newline=""), strict=True)]
-            for row in reader
-            if any(cell.strip() for cell in row)
+            for cells in reader
+            if any(cell.strip() for cell in cells)
         ]
     except csv.Error as error:
         raise InputError(f"{quoted_path(path)} is not a csv file: {error}") from None
@@ -79,10 +79,10 @@ def read_columns(path: Path, columns: Sequence[str | int]) -> Array:
     first = lines[0][1]
     header = first if any(_float(cell) is None for cell in first) else []
     chosen = [_index(column, header, len(first), path) for column in columns]
-    rows = lines[1:] if header else lines
-    if not rows:
+    table_lines = lines[1:] if header else lines
+    if not table_lines:
         raise InputError(f"{quoted_path(path)} has no numbers below its header")
-    return np.array([[_cell(row, k, line, path) for k in chosen] for line, row in rows])
+    return np.array([[_cell(cells, k, line, path) for k in chosen] for line, cells in table_lines])
 
 
 def _index(column: str | int, header: list[str], count: int, path: Path) -> int:

@@ -44,10 +44,10 @@ def expect_integration(method: Method) -> None:
     if not _is_first("integration", method):
         return
     stepper = stepper_of(method)
-    none, rows = np.empty(0), np.empty((0, 1))
+    none, columns = np.empty(0), np.empty((0, 1))
     _expect(
         stepper.loops.advance, new_run(), read_only(none), stepper.work(1), read_only(none),
-        rows, none.copy(), rows,
+        columns, none.copy(), columns,
     )  # fmt: skip
 
 
@@ -80,8 +80,8 @@ def expect_tangents(method: Method, count: int) -> None:
     """
     if not _is_first(f"tangents {count == 1}", method):
         return
-    frozen, replay, row = read_only(np.empty((1, 1))), _replay(), np.empty((1, 1))
-    tangents = (row[0], row, row, row, np.empty((1, 1, 1)))
+    frozen, replay, matrix = read_only(np.empty((1, 1))), _replay(), np.empty((1, 1))
+    tangents = (matrix[0], matrix, matrix, matrix, np.empty((1, 1, 1)))
     if not isinstance(method, Explicit):
         from ...integrators.gauss import stage_sensitivities as gauss
         from ...integrators.gauss.fixed_points import sensitivity_rows
@@ -107,15 +107,15 @@ def expect_cotangents(method: Method) -> None:
     """
     if not _is_first("cotangents", method):
         return
-    row, frozen = np.empty((1, 1)), read_only(np.empty((1, 1)))
-    back = (frozen, row[0], row, row[0], row[0])
+    matrix, frozen = np.empty((1, 1)), read_only(np.empty((1, 1)))
+    back = (frozen, matrix[0], matrix, matrix[0], matrix[0])
     if isinstance(method, Explicit):
         from ...integrators.explicit.adjoint_sweep import adjoint_sweep_of
         from ...integrators.explicit.forward_sensitivities import weights_of
 
         tableau = type(method).tableau()
         (_, dense, _), adjoint = weights_of(tableau), adjoint_sweep_of(tableau)
-        _expect(adjoint.sweep, _replay(), 1, dense, back, adjoint.rows(1), row[0])
+        _expect(adjoint.sweep, _replay(), 1, dense, back, adjoint.rows(1), matrix[0])
     else:
         from ...integrators.gauss.adjoint_steps import reverse
         from ...integrators.gauss.fixed_points import sensitivity_rows
@@ -144,19 +144,19 @@ def _is_first(call: str, method: Method) -> bool:
 
 
 def _replay() -> Replay:
-    row = read_only(np.empty(1))
-    return 1, (0, 0), row, row, row
+    numbers = read_only(np.empty(1))
+    return 1, (0, 0), numbers, numbers, numbers
 
 
 def _expect(function: Any, *arguments: Any) -> None:
     """Let other threads generate the code of a function for arguments of these types."""
     types = tuple(map(argument_type, map(plain_value, arguments)))
-    known = tuple(kind for kind in types if kind is not None)
+    supported = tuple(t for t in types if t is not None)
     # Code in memory is not generated again, even if no cache could store it.
-    if len(known) < len(types) or function.has_code(known):
+    if len(supported) < len(types) or function.has_code(supported):
         return
     python = function.py_func
-    name = shipped_code.shipped_name(python, known, function.stamp)
+    name = shipped_code.shipped_name(python, supported, function.stamp)
     if not (shipped_code.is_shipped(name) and objects_are_as_expected()):
         return
     result = ""
@@ -165,7 +165,7 @@ def _expect(function: Any, *arguments: Any) -> None:
         nonlocal result
         bitcode = shipped_code.read_shipped(name)
         result, context = bitcode.result, llvm.create_context()
-        wrapper = CallWrapper(python.__name__, known, result)
+        wrapper = CallWrapper(python.__name__, supported, result)
         module = parse_bitcode(bitcode.module, context)
         wrapped_code.check_parameters(wrapper, module)
         texts = [*divide(module), wrapper.text]
@@ -209,15 +209,15 @@ def divide(module: llvm.ModuleRef) -> list[str]:
             function.linkage, function.visibility = "external", "hidden"
     # A module is global values, definitions that each start and end at the start of a line,
     # and attributes.
-    rest, *definitions = re.split(r"^(?=define )", str(module), flags=re.MULTILINE)
+    shared, *definitions = re.split(r"^(?=define )", str(module), flags=re.MULTILINE)
     functions = []
     for definition in definitions:
         end = definition.index("\n}\n") + 3
         functions.append(definition[:end])
-        rest += definition[end:]
+        shared += definition[end:]
     declared = ["declare" + f[len("define") : f.index(" {\n")] + "\n" for f in functions]
     return [
-        rest + "".join(functions[k] if k in group else declared[k] for k in range(len(functions)))
+        shared + "".join(functions[k] if k in group else declared[k] for k in range(len(functions)))
         for group in _groups([len(function) for function in functions])
     ]
 

@@ -171,11 +171,11 @@ def prepare_start(
     states, down = GivenStates(pose, x, xdot, motion, None), np.empty((1, 0))
     arrays = assemble(layout, states, outputs, Constants(**shared), down)
     values = np.concatenate([np.zeros(1), *vars(constants).values()])
-    whole = np.concatenate(arrays, axis=1)
-    if not (np.isin(whole, np.arange(count + conditions.size))).all():
+    entries = np.concatenate(arrays, axis=1)
+    if not (np.isin(entries, np.arange(count + conditions.size))).all():
         return None
     ends = arrays[0].shape[1], arrays[0].shape[1] + arrays[1].shape[1]
-    prepared = PreparedStart(ref(kernel), values, whole[0].astype(np.intp), ends)
+    prepared = PreparedStart(ref(kernel), values, entries[0].astype(np.intp), ends)
     return prepared if _are_copies(prepared, layout, given, conditions, constants) else None
 
 
@@ -234,14 +234,14 @@ class CompiledFlow:
             plan: The plan.
             all_momenta: Whether constant momenta of symmetric balls are integrated, too.
         """
-        given, shared = plan.scene.given, plan.scene.shared
-        of_twist = given.mu is None
+        initial, shared = plan.scene.given, plan.scene.shared
+        of_twist = initial.mu is None
         conditions = once(
             shared,
             (InitialConditionsKernel, of_twist),
-            lambda: _conditions_kernel(plan, given, NO_DIFFERENCES),
+            lambda: _conditions_kernel(plan, initial, NO_DIFFERENCES),
         )
-        state = np.concatenate([given.pose, given.x, given.xdot, given.motion], axis=1)
+        state = np.concatenate([initial.pose, initial.x, initial.xdot, initial.motion], axis=1)
         values = np.empty((1, conditions.size))
         evaluate_row(conditions.code.address, conditions.own_numbers[None], state, values)
         zero = not any(values[0, conditions.about].tolist())
@@ -249,7 +249,7 @@ class CompiledFlow:
         def make() -> PreparedStart | None:
             flow_kernel = kernel_of(plan, zero_momentum=zero, all_momenta=all_momenta)
             constants = _constants(plan, NO_DIFFERENCES, flow_kernel)
-            return prepare_start(flow_kernel, given, conditions, constants)
+            return prepare_start(flow_kernel, initial, conditions, constants)
 
         key = PreparedStart, type(plan.method), zero, of_twist, all_momenta
         prepared = once(shared, key, make)
@@ -258,7 +258,7 @@ class CompiledFlow:
             flow_kernel = kernel_of(plan, zero_momentum=zero, all_momenta=all_momenta)
         if prepared is None:
             start = conditions.split(values)
-            return _set_up(plan, given, start, NO_DIFFERENCES, flow_kernel)[0]
+            return _set_up(plan, initial, start, NO_DIFFERENCES, flow_kernel)[0]
         return cls(flow_kernel, _tables_of(plan), *prepared.start(state[0], values[0]))
 
     def __getitem__(self, members: object) -> CompiledFlow:
@@ -368,9 +368,9 @@ class CompiledFlow:
 
     def parameters_within(self, within: Array) -> Array:
         """Return a row of parameters for each time `within` a span (S,), (S, p)."""
-        rows = np.repeat(self.parameters[None], len(within), axis=0)
-        self._set_span(rows, within)
-        return read_only(rows)
+        parameters = np.repeat(self.parameters[None], len(within), axis=0)
+        self._set_span(parameters, within)
+        return read_only(parameters)
 
     def _set_span(self, parameters: Array, within: float | Array) -> None:
         """Write the numbers that change from span to span; `within` is a time in each span [s]."""
@@ -579,7 +579,7 @@ def flows_of(
         for zero in (False, True):
             indices = np.flatnonzero(zeros == zero)
             if indices.size:
-                conditions = InitialConditions(*(rows[indices] for rows in vars(start).values()))
+                conditions = InitialConditions(*(a[indices] for a in vars(start).values()))
                 states, parameters = given[chunk][indices], own[chunk][indices]
                 members[zero].append(first + indices)
                 kernel = kernel_of(plan, zero_momentum=zero, generic=parameters.robot is not None)
@@ -615,8 +615,8 @@ def _initial_conditions(plan: Plan, given: GivenStates, own: MemberParameters) -
 def _conditions_kernel(
     plan: Plan, given: GivenStates, own: MemberParameters
 ) -> InitialConditionsKernel:
-    freed = plan.freed(generic=own.robot is not None)
-    return initial_conditions_kernel(plan.system, "xi" if given.mu is None else "mu", freed)
+    variables = plan.freed(generic=own.robot is not None)
+    return initial_conditions_kernel(plan.system, "xi" if given.mu is None else "mu", variables)
 
 
 def _set_up(
@@ -647,8 +647,8 @@ def _constants(plan: Plan, own: MemberParameters, kernel: Kernel) -> Constants:
     gravity, fall = own.gravity, own.fall
     if gravity is None or fall is None:
         gravity, fall = plan.gravity, root_of(plan.system).g
-    freed = kernel.layout.freed
-    bodies = free_numbers(plan.system, freed) if own.robot is None else own.robot
+    variables = kernel.layout.freed
+    bodies = free_numbers(plan.system, variables) if own.robot is None else own.robot
     numbers = plan.numbers if own.numbers is None else own.numbers
     return Constants(gravity, fall, bodies, numbers)
 

@@ -103,14 +103,14 @@ def integrator(
     def whole() -> Integration:
         """Return the integration over the whole time, which scenes of one structure share."""
         shared: dict[int, _Shared] = once(scene.shared, Integration, dict)
-        found = shared.get(id(flow.kernel))
-        if found is None or found.kernel() is not flow.kernel or found.method != method:
-            for dropped in [k for k, each in list(shared.items()) if each.kernel() is None]:
+        entry = shared.get(id(flow.kernel))
+        if entry is None or entry.kernel() is not flow.kernel or entry.method != method:
+            for dropped in [k for k, old in list(shared.items()) if old.kernel() is None]:
                 shared.pop(dropped, None)
             kernel = ref(flow.kernel)
             integration = prepare(scene.end, scene.report_times, partial(_tangent_of, kernel))
-            found = shared[id(flow.kernel)] = _Shared(kernel, method, integration)
-        return found.integration
+            entry = shared[id(flow.kernel)] = _Shared(kernel, method, integration)
+        return entry.integration
 
     def run(
         start: float,
@@ -191,9 +191,9 @@ def wild_steps(kernel: Kernel, plan: Plan, states: Array, times: Array) -> str:
     ends = np.unique(np.searchsorted(times, np.arange(0.0, times[-1], step)))
     ends = np.append(ends[ends < len(times) - 1], len(times) - 1)
     steps = np.maximum(np.diff(times[ends]) / step, 1.0)
-    turned = np.abs(np.diff(states[ends, : len(active)], axis=0)) / steps[:, None]
+    rotations = np.abs(np.diff(states[ends, : len(active)], axis=0)) / steps[:, None]
     names, units = plan.system.shape_names, plan.system.units
-    for k, most in zip(active, turned.max(axis=0, initial=0.0), strict=True):
+    for k, most in zip(active, rotations.max(axis=0, initial=0.0), strict=True):
         if units[k] == "rad" and not most < _WILD:
             return (
                 f"joint {quoted(names[k])} of '{plan.system.name}' rotates by {most:.1e} rad "
@@ -391,10 +391,10 @@ def long_integrator(
             flow.tangent,
         )  # fmt: skip
         times = read_only(np.append((reports - start).clip(0.0, length), length))
-        known = np.append(reports, end)
+        reported = np.append(reports, end)
 
         def segment(solution: ThinnedSolution) -> Segment:
-            return _long_segment(solution, start, length, known, divisions)
+            return _long_segment(solution, start, length, reported, divisions)
 
         try:
             solution = integration(
@@ -427,16 +427,16 @@ def _long_segment(
     count = len(solution.y)
 
     def step_ends() -> Array:
-        parts = [solution.step_ends(k) for k in range(len(solution.copies) - 1)]
-        knots = refined(np.concatenate([parts[0], *[p[1:] for p in parts[1:]]]) + start, divisions)
+        ends = [solution.step_ends(k) for k in range(len(solution.copies) - 1)]
+        knots = refined(np.concatenate([ends[0], *[p[1:] for p in ends[1:]]]) + start, divisions)
         knots[-1] = end
         return knots
 
     def at(t: Array) -> Array:
         if count:
-            rows = np.minimum(np.searchsorted(known[:count], t), count - 1)
-            if (known[rows] == t).all():
-                return np.asarray(solution.y[rows])
+            indices = np.minimum(np.searchsorted(known[:count], t), count - 1)
+            if (known[indices] == t).all():
+                return np.asarray(solution.y[indices])
         return solution.anywhere(np.clip(t - start, first.time, last.time))
 
     steps, evaluations = last.steps - first.steps, last.evaluations - first.evaluations

@@ -141,14 +141,14 @@ class Capture(_AfterImpact):
 
     def __str__(self) -> str:
         names = ", ".join(self.system.group.momentum_names)
-        rows = [
+        lines = [
             ("impulse on the first [N·s | N·m·s]", in_words(self.impulse)),
             ("energy lost [J]", f"{self.energy_lost:.6g} of {self.energy_before:.6g}"),
             (f"momenta before ({names})", in_words(self.momentum_before)),
             ("momentum after", in_words(self.momentum)),
         ]
         head = f"{self.a.name} captures {self.b.name}: {self.onto} fixed to {self.at}"
-        return "\n".join([head, *(f"  {name:<42} {value}" for name, value in rows)])
+        return "\n".join([head, *(f"  {name:<42} {value}" for name, value in lines)])
 
 
 @checks_arguments
@@ -216,8 +216,10 @@ def capture(
     v = N @ np.linalg.solve(N.T @ H @ N, N.T @ (J_a.T @ p_a + J_b.T @ p_b))
     lost_a, lost_b = v_a - J_a @ v, v_b - J_b @ v
     r = A.r
-    rows = jacobian(A, first, before_a)[:, :r]
-    impulse = rows @ np.linalg.solve(rows.T @ rows, -(H_a @ lost_a)[:r])
+    jacobian_of_base = jacobian(A, first, before_a)[:, :r]
+    impulse = jacobian_of_base @ np.linalg.solve(
+        jacobian_of_base.T @ jacobian_of_base, -(H_a @ lost_a)[:r]
+    )
     momentum_a = A.group.spatial_momentum(before_a.pose, p_a[:r])
     momentum_b = _in_root_of(A, B, B.group.spatial_momentum(before_b.pose, p_b[:r]))
     return Capture(
@@ -298,11 +300,11 @@ def closed_velocities(system: System, x: Array) -> Array:
     """Return a basis of the velocities (ξ, ẋ) that keep all loops closed at shape x, (n, k)."""
     if system.closure is None:
         return np.eye(system.n)
-    rows = loop_jacobian(system, x)[system.closure.rows]
-    Q = np.linalg.qr(rows.T, mode="complete")[0]
-    basis = np.zeros((system.n, system.n - len(rows)))
+    gradients = loop_jacobian(system, x)[system.closure.rows]
+    Q = np.linalg.qr(gradients.T, mode="complete")[0]
+    basis = np.zeros((system.n, system.n - len(gradients)))
     basis[: system.r, : system.r] = np.eye(system.r)
-    basis[system.r :, system.r :] = Q[:, len(rows) :]
+    basis[system.r :, system.r :] = Q[:, len(gradients) :]
     return basis
 
 
@@ -329,7 +331,7 @@ def _embedding(
     r, n = A.r, joined.n
     J_a, J_b = np.zeros((A.n, n)), np.zeros((B.n, n))
     J_a[:r, :r] = np.eye(r)
-    turned = reversed_balls(renamed(take_apart(B), prefix), take_apart(joined))
+    reversed_ones = reversed_balls(renamed(take_apart(B), prefix), take_apart(joined))
     slots = {joint.name: joint for joint in joined.space.joints}
     for joint in A.space.joints:
         new = slots[joint.name].v
@@ -337,7 +339,7 @@ def _embedding(
     for joint in B.space.joints:
         name = prefix + joint.name
         block = np.eye(joint.kind.m)
-        if name in turned:  # σ = −R(x)ᵀ σ' for the rate σ' of the reversed ball
+        if name in reversed_ones:  # σ = −R(x)ᵀ σ' for the rate σ' of the reversed ball
             block = -pin.Quaternion(states[1].x[joint.x]).matrix().T
         J_b[r:][joint.v, r:][:, slots[name].v] = block
     # The frames move alike: rows_b (ξ_b, ẋ_b) = offset⁻¹ rows_a (ξ_a, ẋ_a).
@@ -387,14 +389,14 @@ class Release:
     released: Released
 
     def __str__(self) -> str:
-        rows = [f"{self.whole.name} opens at {self.link}"]
-        for part in (self.carrier, self.released):
-            system = part.system
-            rows.append(
+        lines = [f"{self.whole.name} opens at {self.link}"]
+        for body in (self.carrier, self.released):
+            system = body.system
+            lines.append(
                 f"  {system.name:<42} {system.mass:.6g} kg, {system.group.name} x "
-                f"{system.m} joints, xi = {in_words(part.instant.xi)}"
+                f"{system.m} joints, xi = {in_words(body.instant.xi)}"
             )
-        return "\n".join(rows)
+        return "\n".join(lines)
 
     def __repr__(self) -> str:
         return (
@@ -418,9 +420,9 @@ def release(state: Moment, link: str, *, root: str = "") -> Release:
             or the part cannot float on its own.
     """
     system, before = moment_of(state, "release")
-    parts = [cut(system, link=link, part=part, root=root if part else "") for part in (0, 1)]
+    systems = [cut(system, link=link, part=part, root=root if part else "") for part in (0, 1)]
     carrier, released = (
-        Released(part, carry_state([Moving(system, before)], part)) for part in parts
+        Released(cut_off, carry_state([Moving(system, before)], cut_off)) for cut_off in systems
     )
     return Release(system, before, link, carrier, released)
 
@@ -480,8 +482,8 @@ class Landing(_AfterImpact):
         up = up_of(self.system)
         return tuple(
             frame
-            for frame, row in zip(self.frames, self.impulse, strict=True)
-            if row[:3] @ up < 0.0
+            for frame, wrench in zip(self.frames, self.impulse, strict=True)
+            if wrench[:3] @ up < 0.0
         )
 
     def __repr__(self) -> str:
@@ -542,11 +544,11 @@ def land(
     if not frames or len(set(frames)) < len(frames):
         raise InputError(f"frame: expected one or several frames, each once, got {brief(frame)}")
     places = [place_of(system, entry, "frame") for entry in frames]
-    rows, data = 3 if contact == "point" else 6, placements(system, before.pose, before.x)
+    count, data = 3 if contact == "point" else 6, placements(system, before.pose, before.x)
     J = list[Array]()  # twists of the frames in world axes
     for place in places:
         R = data.oMi[place.joint].rotation @ place.on_joint.rotation
-        J.append(np.kron(np.eye(rows // 3), R) @ jacobian(system, place, before)[:rows])
+        J.append(np.kron(np.eye(count // 3), R) @ jacobian(system, place, before)[:count])
     H, v = mass_matrix(system, before), np.concatenate([before.xi, before.xdot])
     N = closed_velocities(system, before.x)
     # In w = Lᵀ u with v = N u and NᵀHN = L Lᵀ, the impact is the orthogonal projection off the
@@ -556,7 +558,7 @@ def land(
     rank = int((s > _RANK * s[0]).sum())
     stopped = U[:, :rank].T @ (L.T @ (N.T @ v))
     jump = -N @ np.linalg.solve(L.T, U[:, :rank] @ stopped)
-    impulse = -(Vt[:rank].T @ (stopped / s[:rank])).reshape(len(frames), rows)
+    impulse = -(Vt[:rank].T @ (stopped / s[:rank])).reshape(len(frames), count)
     r = system.r
     momentum, change = (system.group.spatial_momentum(before.pose, (H @ u)[:r]) for u in (v, jump))
     after = Instant(before.pose, before.x, before.xdot + jump[r:], before.xi + jump[:r])

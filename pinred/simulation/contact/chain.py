@@ -222,14 +222,14 @@ def _ordered(
 
 def _whole(motions: Sequence[Sequence[Trajectory]], impacts: Sequence[Impact | None]) -> System:
     """Return a system that has the freedoms of all phases."""
-    first, *others = (traj.system for traj in motions[0])
+    first, *later_systems = (traj.system for traj in motions[0])
     captures = [impact for impact in impacts if isinstance(impact, Capture)]
     releases = [impact for impact in impacts if isinstance(impact, Release)]
     whole = first
-    for system in others:
-        known = [c.prefix for c in captures if c.b is system]
-        whole = pair(whole, system, prefix=known[0] if known else free_prefix(whole, system))
-    if not others and releases:
+    for system in later_systems:
+        stated = [c.prefix for c in captures if c.b is system]
+        whole = pair(whole, system, prefix=stated[0] if stated else free_prefix(whole, system))
+    if not later_systems and releases:
         whole = pair(releases[0].carrier.system, releases[0].released.system, prefix="")
     return whole
 
@@ -283,7 +283,7 @@ def parts_of(whole: System, impact: Impact) -> tuple[list[Moving], list[Moving]]
 
 def _named(whole: System, parts: Sequence[tuple[System, Instant]]) -> list[Moving]:
     prefixes = _prefixes(whole, [system for system, _ in parts])
-    return [Moving(*part, prefix) for part, prefix in zip(parts, prefixes, strict=True)]
+    return [Moving(*moment, prefix) for moment, prefix in zip(parts, prefixes, strict=True)]
 
 
 def gap(a: Sequence[Moving], b: Sequence[Moving]) -> float:
@@ -328,9 +328,11 @@ def _end_state(
 ) -> dict[str, Array]:
     """Return the state after an impact with which a chain ends, by field, (1, …)."""
     assert impact is not None
-    parts = _after(whole, phase, impact)
-    transfer = Transfer([part.system for part in parts], [part.prefix for part in parts], whole)
-    state = _continued(whole, transfer(parts), (before["pose"][-1], before["x"][-1]))
+    robots = _after(whole, phase, impact)
+    transfer = Transfer(
+        [robot.system for robot in robots], [robot.prefix for robot in robots], whole
+    )
+    state = _continued(whole, transfer(robots), (before["pose"][-1], before["x"][-1]))
     lost = 0.0 if isinstance(impact, Release) else impact.energy_lost
     values = _fields(whole, state, before["energy"][-1] - lost)
     t = np.nextafter(before["t"][-1], np.inf)
@@ -361,24 +363,24 @@ def _states(whole: System, phase: Phase, before: dict[str, Array] | None) -> dic
     t = phase.start + times
     if before is not None and t[0] <= before["t"][-1]:
         t[0] = np.nextafter(before["t"][-1], np.inf)
-    (first, *others) = phase.motions
-    if not others and first.system is whole:
+    (first, *later_motions) = phase.motions
+    if not later_motions and first.system is whole:
         return {**arrays_of(first(times)), "t": t}
     states = [traj(times) for traj in phase.motions]
-    rows: dict[str, list[Array]] = {name: [] for name in State.__dataclass_fields__}
+    columns: dict[str, list[Array]] = {name: [] for name in State.__dataclass_fields__}
     transfer = Transfer([traj.system for traj in phase.motions], phase.prefixes, whole)
     last = None if before is None else (before["pose"][-1], before["x"][-1])
     for k in range(len(times)):
-        parts = [
+        robots = [
             Moving(traj.system, Instant(s.pose[k], s.x[k], s.xdot[k], s.xi[k]), prefix)
             for traj, s, prefix in zip(phase.motions, states, phase.prefixes, strict=True)
         ]
-        state = _continued(whole, transfer(parts), last)
+        state = _continued(whole, transfer(robots), last)
         last = state.pose, state.x
         energy = float(np.sum([s.energy[k] for s in states]))
         for name, value in _fields(whole, state, energy).items():
-            rows[name].append(value)
-    return {**{name: np.array(values) for name, values in rows.items() if name != "t"}, "t": t}
+            columns[name].append(value)
+    return {**{name: np.array(values) for name, values in columns.items() if name != "t"}, "t": t}
 
 
 def _fields(whole: System, state: Instant, energy: float) -> dict[str, Any]:

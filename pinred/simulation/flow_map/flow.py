@@ -91,7 +91,7 @@ class Flow:
         self.input_map = Inputs(scene, self.propagator.kernel, plan.gravity, wrt)
         self._rows = _checked_rows(of, wanted=plan.wanted)
         sizes = sizes_of(scene.system)
-        ends = np.cumsum([0, *(sizes[row] for row in self._rows)]).tolist()
+        ends = np.cumsum([0, *(sizes[outcome] for outcome in self._rows)]).tolist()
         self.outputs: Mapping[str, slice] = MappingProxyType(
             dict(zip(self._rows, map(slice, ends, ends[1:]), strict=True))
         )
@@ -105,8 +105,8 @@ class Flow:
 
     def __repr__(self) -> str:
         inputs = ", ".join(f"{name} ({size})" for name, size in self.inputs.items()) or "nothing"
-        rows = ", ".join(f"{name} ({p.stop - p.start})" for name, p in self.outputs.items())
-        return f"Flow({self.scene.system.name!r}, {self.scene.end:g} s, {rows} by {inputs})"
+        outputs = ", ".join(f"{name} ({p.stop - p.start})" for name, p in self.outputs.items())
+        return f"Flow({self.scene.system.name!r}, {self.scene.end:g} s, {outputs} by {inputs})"
 
     @property
     def system(self) -> System:
@@ -198,11 +198,11 @@ class Flow:
         Raises:
             InputError: The flow has no such input.
         """
-        known = self.input_map.known
-        if name not in known:
+        names = self.input_map.known
+        if name not in names:
             raise InputError(
-                f"name: there is no input {quoted(name)}; {nearest(name, known)}the inputs are "
-                f"{listed(known, 60)}"
+                f"name: there is no input {quoted(name)}; {nearest(name, names)}the inputs are "
+                f"{listed(names, 60)}"
             )
         return self.input_map.value(name)
 
@@ -313,14 +313,14 @@ class Flow:
         shape = (len(self.t), self._size) if self.over_times else (self._size,)
         if isinstance(covector, Mapping):
             weights = np.zeros(shape)
-            for name, part in covector.items():
+            for name, weights_of_output in covector.items():
                 if name not in self.outputs:
                     raise InputError(
                         f"no output {brief(name)}; the outputs are {', '.join(self.outputs)}"
                     )
                 place = self.outputs[name]
                 expected = (*shape[:-1], place.stop - place.start)
-                values = as_floats(part, f"the covector of {name}")
+                values = as_floats(weights_of_output, f"the covector of {name}")
                 if values.shape != expected:
                     raise ShapeError(
                         f"the covector of {name} must have shape {expected}, got {values.shape}"
@@ -378,17 +378,17 @@ def _stays_zero(scene: Scene, wrt: Sequence[str]) -> bool:
 
 
 def _checked_rows(of: Sequence[Outcome] | None, *, wanted: bool) -> tuple[Outcome, ...]:
-    known = [name for name in _ROWS if wanted or not FIELDS[name].needs_base]
+    outcomes = [name for name in _ROWS if wanted or not FIELDS[name].needs_base]
     if of is None:
         return _ALL if wanted else _SHAPE
-    rows: tuple[Any, ...] = (of,) if isinstance(of, str) else tuple(of)
-    for row in rows:
-        if row not in known or rows.count(row) > 1:
+    requested: tuple[Any, ...] = (of,) if isinstance(of, str) else tuple(of)
+    for outcome in requested:
+        if outcome not in outcomes or requested.count(outcome) > 1:
             raise InputError(
-                f"the outputs of a flow must be among {', '.join(known)}, each once, "
+                f"the outputs of a flow must be among {', '.join(outcomes)}, each once, "
                 f"got {brief(of)}"
             )
-    return rows
+    return requested
 
 
 # Field of State for each input that is a part of the state, in the order of a flow's outputs.

@@ -72,7 +72,7 @@ class Columns:
             numbers["x"] = "x_numbers"
         self._rows: tuple[Row, ...] = tuple(numbers.get(name, name) for name in flow.outputs)
         sizes = sizes_of(flow.system)
-        ends = np.cumsum([0, *(sizes[row] for row in self._rows)]).tolist()
+        ends = np.cumsum([0, *(sizes[outcome] for outcome in self._rows)]).tolist()
         self.outputs = dict(zip(flow.outputs, map(slice, ends, ends[1:]), strict=True))
         self._times = len(flow.t) if flow.over_times else 1
         self.size = ends[-1] * self._times
@@ -130,8 +130,8 @@ class Columns:
             return np.zeros((0, self.size))
         # Lanes store no steps at which loops are checked, and look for no impacts.
         if count == 1 or self.flow.system.loops or self.flow.scene.bounds:
-            rows = [[batch[k % len(batch)] for batch in batches] for k in range(count)]
-            return np.array([self.value(*row) for row in rows])
+            inputs_of_runs = [[batch[k % len(batch)] for batch in batches] for k in range(count)]
+            return np.array([self.value(*inputs) for inputs in inputs_of_runs])
         arguments = [
             self._inputs.given(
                 {
@@ -312,8 +312,8 @@ class Batched:
         lead = _lead(columns)
         if not lead:
             return self.columns.value(*columns)
-        rows = [a.reshape(-1, a.shape[-1]) for a in _wide(columns, lead)]
-        return self.columns.values(*rows).reshape(*lead, self.columns.size)
+        flat = [a.reshape(-1, a.shape[-1]) for a in _wide(columns, lead)]
+        return self.columns.values(*flat).reshape(*lead, self.columns.size)
 
     def along(self, columns: Sequence[Any], directions: Sequence[Any]) -> Array:
         """Return the derivatives along directions of the inputs, (…, size)."""

@@ -150,8 +150,8 @@ class OutcomeAdjoint:
         argument, reference = np.zeros(self._argument_size), self._reference
         slopes = np.empty(len(argument) + len(back[3]))
         addresses = (self._outputs.address, self._outcome.adjoint.address)
-        out = np.empty(self._output_size)
-        _propagate_covectors(addresses, self._size, reference, back, argument, out, slopes)
+        outputs = np.empty(self._output_size)
+        _propagate_covectors(addresses, self._size, reference, back, argument, outputs, slopes)
 
 
 @compiled

@@ -126,9 +126,9 @@ class DoubtfulImpacts:
             if bound.v not in joints and bound not in rest and u < 0.0 and gap <= near_gap:
                 near.append(bound)
         speed = abs(xdot[hits[0].v])
-        before, others = self._last
-        if not others <= joints and t - before <= self._within + self.tolerance(hits[0]) / speed:
-            near += [bound for bound in self._bounds if bound.v in others - joints]
+        before, last = self._last
+        if not last <= joints and t - before <= self._within + self.tolerance(hits[0]) / speed:
+            near += [bound for bound in self._bounds if bound.v in last - joints]
         self._last = t, frozenset(joints)
         if near:
             names = list(dict.fromkeys(bound.joint for bound in (*hits, *near)))
@@ -197,17 +197,17 @@ class DoubtfulImpacts:
             y = solution.at(times.ravel())[:, columns].reshape(*times.shape, -1)
             gaps = signs * (y - positions)
             low = np.einsum("ij,sjb->sib", matrix, gaps).min(axis=1) <= tolerances
-            for step, rows in enumerate(gaps):
+            for step, gaps_of_step in enumerate(gaps):
                 for k in np.flatnonzero(low[step] & is_open).tolist():
-                    part = _turning(nodes, rows[:, k], tolerances[k])
-                    if part is not None:
-                        t = start + starts[step] + part * lengths[step]
+                    place = _turning(nodes, gaps_of_step[:, k], tolerances[k])
+                    if place is not None:
+                        t = start + starts[step] + place * lengths[step]
                         raise InputError(
                             f"stops: joint '{bounds[k].joint}' grazes its {bounds[k].side} stop at "
                             f"t = {t:g} s, so a flow has a derivative on one side only. Change the "
                             "motion or the stop"
                         )
-                is_open |= (rows > tolerances).any(axis=0)
+                is_open |= (gaps_of_step > tolerances).any(axis=0)
             start += float(solution.knots[-1])
 
 
@@ -215,9 +215,9 @@ def rows_of(phase: Phase, bounds: Sequence[Bound]) -> dict[Bound, float]:
     """Return the stops with an impulse at the start of a phase, and the rates after it."""
     if phase.impact is None:
         return {}
-    known = {(bound.joint, bound.side): bound for bound in bounds}
+    stops = {(bound.joint, bound.side): bound for bound in bounds}
     keys = zip(phase.impact.joint, phase.impact.side, strict=True)
-    return {known[key]: float(rate) for key, rate in zip(keys, phase.impact.rates[1], strict=True)}
+    return {stops[key]: float(rate) for key, rate in zip(keys, phase.impact.rates[1], strict=True)}
 
 
 def _turning(nodes: Array, gaps: Array, tolerance: float) -> float | None:
@@ -306,10 +306,10 @@ class FlowMode:
         """
         free, layout = run.flow, self.propagator.kernel.layout
         first = free.kernel.layout.gravity_at
-        others = self.others(np.concatenate([free.parameters[first:], run.stops]))
-        others[len(others) - len(self.numbers) :] += self.numbers - self.by_numbers @ own
+        params = self.others(np.concatenate([free.parameters[first:], run.stops]))
+        params[len(params) - len(self.numbers) :] += self.numbers - self.by_numbers @ own
         spin = free.parameters[: layout.base.spin]
-        columns = [spin, np.zeros(len(layout.constant_pi)), others]
+        columns = [spin, np.zeros(len(layout.constant_pi)), params]
         forces = self.propagator.plan.forces
         flow = CompiledFlow(
             self.propagator.kernel, None if forces is None else forces.tables,
@@ -406,8 +406,8 @@ class StoppedPropagator(Propagator):
     def run(self, given: Given, *, stages: bool = False) -> StoppedRun:  # noqa: ARG002
         """Simulate the scene with the inputs; see Propagator.run."""
         trajectory = trajectory_of(without_own(self._scene_of(given)))
-        own, stops = self._divided(given.constants)
-        given = replace(given, constants=own)
+        of_kernel, stops = self._divided(given.constants)
+        given = replace(given, constants=of_kernel)
         return StoppedRun(given, self.initial(given), [], [], trajectory, stops)
 
     def _divided(self, constants: Array) -> tuple[Array, Array]:
@@ -426,11 +426,11 @@ class StoppedPropagator(Propagator):
     def outputs(self, run: Run) -> Array:
         """Return the outputs of a flow, among those of the kernel, (T, ·), at the report times."""
         states, where = self.states(run), self.kernel.where
-        rows = np.full((len(self.scene.report_times), where.size), np.nan)
+        outputs = np.full((len(self.scene.report_times), where.size), np.nan)
         for name in get_args(Outcome):
             if name in where.fields:
-                rows[:, where.fields[name]] = getattr(states, name).reshape(len(rows), -1)
-        return rows
+                outputs[:, where.fields[name]] = getattr(states, name).reshape(len(outputs), -1)
+        return outputs
 
     def outputs_of_many(self, *_: Any, **__: Any) -> Array:
         """Reject runs in SIMD lanes; the adapters run the inputs one after another."""
@@ -533,16 +533,16 @@ class StoppedPropagator(Propagator):
     def _mode(self, rest: tuple[Bound, ...]) -> FlowMode:
         """Return a mode, whose kernels are built at its first use."""
         # The positions of stops are inputs, so modes are identified by the stops of the scene.
-        own = tuple(self._bounds[bound.joint, bound.side] for bound in rest)
-        mode = self._modes.get(own)
+        bounds = tuple(self._bounds[bound.joint, bound.side] for bound in rest)
+        mode = self._modes.get(bounds)
         if mode is None:
-            places = [Parameter(place_name(k), bound.position) for k, bound in enumerate(own)]
+            places = [Parameter(place_name(k), bound.position) for k, bound in enumerate(bounds)]
             x, xdot = self._free.start.x.copy(), self._free.start.xdot.copy()
-            for bound in own:
+            for bound in bounds:
                 x[bound.x], xdot[bound.v] = bound.position, 0.0
-            plan = plan_of(locked_scene(self._free, own, x, xdot, places))
+            plan = plan_of(locked_scene(self._free, bounds, x, xdot, places))
             propagator = Propagator(plan, zero_momentum=self.zero_momentum)
-            mode = self._modes[own] = FlowMode.of(own, propagator, self, self._stops)
+            mode = self._modes[bounds] = FlowMode.of(bounds, propagator, self, self._stops)
         return mode
 
     def parts_of(self, run: Run) -> list[Part]:

@@ -98,13 +98,13 @@ def jumps_of(
     """
     if not plan.stops_vary or len(spans) < 2 or plan.forces is None:
         return {}
-    rows = plan.forces.switching.slopes(np.array([span.stop for span in spans]), numbers)
+    slopes = plan.forces.switching.slopes(np.array([span.stop for span in spans]), numbers)
     jumps = {}
     for k in range(len(spans) - 1):
         y = solutions[k + 1].states[0].copy()
         unit_alone(y, kernel.layout.quaternions)
         params = [solution.params for solution in solutions[k : k + 2]]
-        jump = jump_between(kernel, params, y, float(spans[k].stop), rows[k])
+        jump = jump_between(kernel, params, y, float(spans[k].stop), slopes[k])
         if jump is not None:
             jumps[k + 1] = jump
     return jumps
@@ -124,7 +124,7 @@ def jump_between(
     """
     if not slopes.any():
         return None
-    before, after = (evaluate(kernel.rate.address, own, y[None], len(y))[0] for own in params)
+    before, after = (evaluate(kernel.rate.address, p, y[None], len(y))[0] for p in params)
     change = before - after
     return Jump(time, change, slopes) if change.any() else None
 
@@ -255,11 +255,11 @@ class Rates:
         self.xdot = function.at(a, b, m)
         self.by_z = np.zeros((len(joints), slots.size))
         self.by_constants = np.zeros((len(joints), layout.parameters - head))
-        for row, j in enumerate(joints):
+        for index, j in enumerate(joints):
             by_a, by_b = function.reverse(a, b, np.eye(m)[j])
-            self.by_z[row, slots.state] = by_a[: layout.size]
-            self.by_z[row, slots.constant] = by_b[:head]
-            self.by_constants[row] = by_b[head : layout.parameters]
+            self.by_z[index, slots.state] = by_a[: layout.size]
+            self.by_z[index, slots.constant] = by_b[:head]
+            self.by_constants[index] = by_b[head : layout.parameters]
 
     def along(self, Z: Array) -> Array:
         """Return the derivatives (K, N) of the rates along N columns of (z, constants)."""

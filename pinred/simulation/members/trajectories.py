@@ -133,11 +133,11 @@ class Trajectories(OverTime):
     def _repr_html_(self) -> str:
         from ...common.html import card, table
 
-        rows = [(str(f.member), f.time, f.reason) for f in self.failures]
+        entries = [(str(f.member), f.time, f.reason) for f in self.failures]
         return card(
             "Trajectories",
             f"{len(self)} of {len(self.t)} times to {self.t[-1]:g} s, {len(self.failures)} failed",
-            table("members that did not reach their end", ["member", "t [s]", "reason"], rows),
+            table("members that did not reach their end", ["member", "t [s]", "reason"], entries),
         )
 
     @cached_property
@@ -196,9 +196,9 @@ class Trajectories(OverTime):
     @cached_property
     def outputs(self) -> State | ShapeState:
         """States of all members at the report times, (N, T, …), computed at first access."""
-        kind = State if self._wants_all else ShapeState
-        names = [name for name in kind.__dataclass_fields__ if name != "t"]
-        return kind(t=self.t, **self.fields(names))
+        state_type = State if self._wants_all else ShapeState
+        names = [name for name in state_type.__dataclass_fields__ if name != "t"]
+        return state_type(t=self.t, **self.fields(names))
 
     def fields(self, names: Sequence[str]) -> dict[str, Array]:
         """Compute some fields of the states of all members, without the others.
@@ -210,13 +210,13 @@ class Trajectories(OverTime):
         Raises:
             InputError: A name is unknown.
         """
-        kind = State if self._wants_all else ShapeState
-        known = [name for name in kind.__dataclass_fields__ if name != "t"]
+        state_type = State if self._wants_all else ShapeState
+        valid = [name for name in state_type.__dataclass_fields__ if name != "t"]
         for name in names:
-            if name not in known:
+            if name not in valid:
                 raise InputError(
-                    f"names: there is no field {quoted(name)}; {nearest(name, known)}the fields "
-                    f"are {listed(known, 60)}"
+                    f"names: there is no field {quoted(name)}; {nearest(name, valid)}the fields "
+                    f"are {listed(valid, 60)}"
                 )
         if "outputs" in vars(self):
             return {name: getattr(self.outputs, name) for name in names}
@@ -318,9 +318,9 @@ class Trajectories(OverTime):
         if batch.device is None:
             return batch.flow[k].states(self.t, batch.y[k])
         # Devices round otherwise, and these states are those of the arrays.
-        rows, missing = slice(k, k + 1), self._missing
+        at, missing = slice(k, k + 1), self._missing
         fields = {n: np.empty((1, *a.shape)) for n, a in arrays_of(missing).items() if n != "t"}
-        batch.flow[rows].fill_states(self.t, batch.y[rows], np.zeros(1, int), fields, batch.device)
+        batch.flow[at].fill_states(self.t, batch.y[at], np.zeros(1, int), fields, batch.device)
         return type(missing)(t=self.t, **{name: values[0] for name, values in fields.items()})
 
     def _place(self, member: int) -> tuple[Batch, int] | None:
@@ -340,11 +340,11 @@ def _up_to(traj: Trajectory, t: Array, system: System, *, wanted: bool) -> State
     if not reached.any():
         return _missing_states(system, t, wanted=wanted)
 
-    rows = np.searchsorted(traj.outputs.t, t[reached])
+    indices = np.searchsorted(traj.outputs.t, t[reached])
 
     def fill(missing: Array, values: Array) -> Array:
         filled = missing.copy()
-        filled[reached] = values[rows]
+        filled[reached] = values[indices]
         return filled
 
     return replace(map_arrays(fill, _missing_states(system, t, wanted=wanted), traj.outputs), t=t)
@@ -470,12 +470,14 @@ def read_members(path: str | Path) -> RecordedMembers:
     """
     path = Path(path)
     content = read_zarr(path, MOST_BYTES) if path.suffix == ".zarr" else read_arrays(path)
-    kind = State if State.__dataclass_fields__.keys() <= content.keys() else ShapeState
-    needed = {"robot", "group", "joints", "failure", "reached", *kind.__dataclass_fields__}
+    state_type = State if State.__dataclass_fields__.keys() <= content.keys() else ShapeState
+    needed = {"robot", "group", "joints", "failure", "reached", *state_type.__dataclass_fields__}
     name = quoted_path(path)
     if missing := needed - content.keys():
         raise LoadError(f"{name} does not contain members: it has no array '{min(missing)}'")
-    states = {field: np.asarray(content[field], dtype=float) for field in kind.__dataclass_fields__}
+    states = {
+        field: np.asarray(content[field], dtype=float) for field in state_type.__dataclass_fields__
+    }
     times, count = len(states["t"]), len(content["failure"])
     for field, values in states.items():
         if field != "t" and values.shape[:2] != (count, times):
@@ -494,7 +496,7 @@ def read_members(path: str | Path) -> RecordedMembers:
     origin = {key: content[key] for key in ORIGIN if key in content and key not in _OF_MEMBERS}
     return RecordedMembers(
         path, str(content["robot"]), str(content["group"]),
-        tuple(map(str, np.atleast_1d(content["joints"]))), kind(**states), failures, impacts,
+        tuple(map(str, np.atleast_1d(content["joints"]))), state_type(**states), failures, impacts,
         origin,
     )  # fmt: skip
 
