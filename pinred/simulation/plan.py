@@ -232,11 +232,6 @@ class Plan:
         return bool(self.scene.events_given or (self.forces is not None and self.forces.held))
 
     @cached_property
-    def passes_stops(self) -> bool:
-        """Whether there are several stops, without controllers or events between them."""
-        return len(self.stops) > 1 and not self.is_observed
-
-    @cached_property
     def has_time_functions(self) -> bool:
         """Whether forces contain functions of time."""
         forces = self.forces

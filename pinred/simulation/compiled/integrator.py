@@ -252,7 +252,7 @@ def through_stops(
 
     Args:
         flow: The flow of the plan.
-        plan: The plan, for which `passes_stops` is true.
+        plan: The plan, with several stops and without controllers and events.
         progress: Called repeatedly with the completed fraction of the stops, 0 to 1.
     Returns:
         The function; None for methods without step control, whose steps depend on each span.
@@ -452,7 +452,7 @@ def _motion(
     flow: CompiledFlow, plan: Plan, progress: Progress | None, record: RunRecord | None
 ) -> Callable[[], Motion]:
     """Return the function that integrates a plan: through all stops, or from stop to stop."""
-    if plan.passes_stops and record is None:
+    if len(plan.stops) > 1 and not plan.is_observed and record is None:
         through = through_stops(flow, plan, progress)
         if through is not None:
             return lambda: Motion(flow, through(), varies=bool(plan.driven))

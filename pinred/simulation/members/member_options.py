@@ -99,45 +99,6 @@ def force_parameters(scene: Scene) -> dict[str, Parameter | VectorParameter]:
     return {} if scene.force_model is None else by_name(scene.force_model.parameters)
 
 
-def check_varying(
-    varying: Mapping[str, Array], scene: Scene, robot: Collection[str],
-    states: Sequence[str], options: str,
-) -> None:  # fmt: skip
-    """Check that parameters can vary in scenes, and the shapes of their values.
-
-    Args:
-        varying: Values by name, (N,) or (N, k).
-        scene: Scene of the members.
-        robot: Names of robot parameters.
-        states: Names of the initial states that can vary, for the message.
-        options: Description of what can vary, for the message.
-    Raises:
-        InputError: A name is not that of a parameter.
-        ShapeError: A value has the wrong shape.
-    """
-    parameters = force_parameters(scene)
-    for name, values in varying.items():
-        if name in robot:
-            continue
-        if name not in parameters:
-            refuse_entry(name, parameters, "members")
-            names = list(parameters)
-            raise InputError(
-                f"members: {brief(name)} cannot vary in these scenes; "
-                f"{kinds_near(scene.system, name, [*states, *names])}; these scenes accept "
-                f"{options}: {listed(names, 60) or 'none'}"
-            )
-        parameter = parameters[name]
-        size = (len(parameter),) if isinstance(parameter, VectorParameter) else ()
-        if values.shape[1:] != size:
-            expected = ", ".join(["N", *map(str, size)]) + ("" if size else ",")
-            hint = " For one value of all members, pass a Scene with it." if size else ""
-            raise ShapeError(
-                f"parameters['{name}'] must have shape ({expected}) for N members, "
-                f"got {values.shape}.{hint}"
-            )
-
-
 def member_numbers(
     model: ForceModel, end: float, varying: Mapping[str, Array], count: int
 ) -> Array:
@@ -441,10 +402,10 @@ class MemberOptions:
         if len(members) == self.count:
             return self
         selected = copy(self)
-        selected.states = {name: column[members] for name, column in self.states.items()}
+        selected.states = _row(self.states, members)
         selected.by_name = {n: _row(values, members) for n, values in self.by_name.items()}
-        selected.parameters = {name: column[members] for name, column in self.parameters.items()}
-        selected.stops = {name: column[members] for name, column in self.stops.items()}
+        selected.parameters = _row(self.parameters, members)
+        selected.stops = _row(self.stops, members)
         selected.gravity = None if self.gravity is None else self.gravity[members]
         selected.seeds = None if self.seeds is None else [self.seeds[k] for k in members.tolist()]
         selected.count = len(members)
@@ -463,13 +424,42 @@ class MemberOptions:
                 "hold: members with different initial shapes cannot hold joints; give the scenes "
                 "as a list, or name the joints in prescribed"
             )
-        check_varying(self.parameters, template, self.robot, STATES, _OPTIONS)
+        self._check_varying(template)
         varying = [name for name in self.robot if name in self.parameters]
         if varying:
             template = with_own(template, varying)
         elif self.gravity is not None:
             template = replace(template, system=self.system)
         return template
+
+    def _check_varying(self, template: Scene) -> None:
+        """Check that the parameters can vary in the scene of all members, and their shapes.
+
+        Raises:
+            InputError: A name is not that of a parameter.
+            ShapeError: A value has the wrong shape.
+        """
+        parameters = force_parameters(template)
+        for name, values in self.parameters.items():
+            if name in self.robot:
+                continue
+            if name not in parameters:
+                refuse_entry(name, parameters, "members")
+                names = list(parameters)
+                raise InputError(
+                    f"members: {brief(name)} cannot vary in these scenes; "
+                    f"{kinds_near(self.system, name, [*STATES, *names])}; these scenes accept "
+                    f"{_OPTIONS}: {listed(names, 60) or 'none'}"
+                )
+            parameter = parameters[name]
+            size = (len(parameter),) if isinstance(parameter, VectorParameter) else ()
+            if values.shape[1:] != size:
+                expected = ", ".join(["N", *map(str, size)]) + ("" if size else ",")
+                hint = " For one value of all members, pass a Scene with it." if size else ""
+                raise ShapeError(
+                    f"parameters['{name}'] must have shape ({expected}) for N members, "
+                    f"got {values.shape}.{hint}"
+                )
 
     def members(self) -> Members:
         """Group the members by the kernel they share.  Raises InputError for invalid scenes."""
