@@ -13,7 +13,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -528,8 +528,7 @@ def follow(
     return Motion(flow, segments, varies=varies, actions=control.calls, watch=watch)
 
 
-@dataclass(frozen=True)
-class Solver:
+class Solver(NamedTuple):
     """What an engine does with a plan.
 
     Attributes:

@@ -137,7 +137,7 @@ class Plan:
         """The system of the scene."""
         return self.scene.system
 
-    @property
+    @cached_property
     def forces(self) -> ForceModel | None:
         """Forces besides gravity and prescribed joints; None if there are none."""
         return self.scene.force_model

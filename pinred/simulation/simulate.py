@@ -155,7 +155,8 @@ def _simulated(
     again = partial(simulate, plan.scene, engine=engine, check=check)
     if engine == "compiled":
         _expect_code(plan)  # before the kernels are imported
-    refuse_with_stops(plan, checkpoint=checkpoint is not None)
+    if plan.scene.bounds:
+        refuse_with_stops(plan, checkpoint=checkpoint is not None)
     run = partial(run_plan, engine=engine, progress=progress, again=again, checkpoint=checkpoint)
     resolved = partial(_resolved, run=run, engine=engine)
     if not check:
