@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
+from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
+from typing import TYPE_CHECKING
+from typing import Any
 from ..common.errors import InputError
-from ..common.files import FIGURES, check_path, write_atomic, write_table
+from ..common.files import FIGURES
+from ..common.files import check_path
+from ..common.files import write_atomic
+from ..common.files import write_table
 from ..common.waiting import ProgressBar
 
 if TYPE_CHECKING:
@@ -133,7 +138,7 @@ def motion_in(path: str, robot: str | None) -> MotionSource:
 
     file = read_scene_file(path)
     if file.phases:
-        from ..simulation.contact.chain_file import run_phases
+        from ..simulation.contact.chain import run_phases
 
         return run_phases(file, progress=True)
     return simulate(file.scene, engine=file.engine, check=file.check, progress=True)

@@ -7,28 +7,32 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
+from typing import TYPE_CHECKING
+from typing import Any
 from ..common.errors import InputError
-from ..common.files import DATA, check_path
+from ..common.files import DATA
+from ..common.files import check_path
 from ..common.names import listed
-from .command_files import check_robot, describe_file, motion_in, out_path, print_report
-from .command_options import (
-    add_options,
-    add_parameters,
-    add_repeated,
-    add_robot,
-    add_scene,
-    assigned_in,
-    option_adder,
-    options_in,
-    parameters_in,
-    scene_of,
-)
+from .command_files import check_robot
+from .command_files import describe_file
+from .command_files import motion_in
+from .command_files import out_path
+from .command_files import print_report
+from .command_options import add_options
+from .command_options import add_parameters
+from .command_options import add_repeated
+from .command_options import add_robot
+from .command_options import add_scene
+from .command_options import assigned_in
+from .command_options import option_adder
+from .command_options import options_in
+from .command_options import parameters_in
+from .command_options import scene_of
 
 if TYPE_CHECKING:
     from ..scene.scene import Scene
@@ -101,10 +105,9 @@ def run_run(arguments: argparse.Namespace) -> int:
         raise InputError("run needs a scene: the name of a TOML file; see `pinred run --help`")
     from ..scene.initial_state import large_angles
     from ..scene.toml.reader import read_scene_file
-    from ..simulation.explain import explain
     from ..simulation.over_time import FOLDERS, SUFFIXES
-    from ..simulation.plan import plan_of
-    from ..simulation.simulate import as_scene, simulate
+    from ..simulation.plan import plan_of, refuse_with_stops
+    from ..simulation.simulate import as_scene, explain_plan, simulate
 
     file = read_scene_file(arguments.scene)
     if file.phases:
@@ -115,11 +118,8 @@ def run_run(arguments: argparse.Namespace) -> int:
     engine, check = arguments.engine or file.engine, bool(arguments.check or file.check)
     checkpoint = arguments.checkpoint or file.checkpoint
     plan = plan_of(scene)
-    explanation = explain(plan)  # This also verifies that the scene can be simulated.
-    if scene.bounds:
-        from ..simulation.stop_engines import refuse_with_stops
-
-        refuse_with_stops(plan, checkpoint=checkpoint is not None)
+    explanation = explain_plan(plan)  # This also verifies that the scene can be simulated.
+    refuse_with_stops(plan, checkpoint=checkpoint is not None)
     if arguments.explain:
         print(explanation)
     elif note := large_angles(scene.given.x[0], scene.system):
@@ -138,10 +138,10 @@ def run_run(arguments: argparse.Namespace) -> int:
 
 def _run_phases(arguments: argparse.Namespace, file: SceneFile) -> int:
     """Run a file with several phases.  Returns 0, or 1 or 3 if a comparison does not pass."""
-    from ..simulation.contact.chain_file import run_phases
-    from ..simulation.explain import explain
+    from ..simulation.contact.chain import run_phases
     from ..simulation.over_time import FOLDERS, SUFFIXES
     from ..simulation.plan import plan_of
+    from ..simulation.simulate import explain_plan
 
     for name in ("parameters", "checkpoint"):
         if getattr(arguments, name):
@@ -155,7 +155,7 @@ def _run_phases(arguments: argparse.Namespace, file: SceneFile) -> int:
         return 0
     path = out_path(arguments, SUFFIXES, FOLDERS)
     chain = run_phases(file, engine=arguments.engine, check=bool(arguments.check), progress=True)
-    print(summary_of_chain(chain, explain if arguments.explain else None))
+    print(summary_of_chain(chain, explain_plan if arguments.explain else None))
     if path is not None:
         chain.save(path)
         print(describe_file(path))
@@ -181,7 +181,7 @@ def summary_of_chain(chain: Chain, explain: Callable[[Plan], object] | None = No
 
 def summary_of_run(traj: Trajectory) -> str:
     """Return a short table of the results of a simulation."""
-    from ..simulation.explain import integrated
+    from ..simulation.simulate import integrated
 
     scene, run = traj.scene, traj.run
     lines = [
@@ -310,8 +310,8 @@ def add_sweep_arguments(sub: argparse.ArgumentParser) -> None:
 def run_sweep(arguments: argparse.Namespace) -> int:
     """Run the command.  Returns 0."""
     from ..scene.scene_options import SWEEP_OPTIONS
-    from ..scene.toml.file_place import naming
     from ..scene.toml.reader import read_scene_file, refuse_phases
+    from ..scene.toml.schema import naming
     from ..simulation.simulate import as_scene
     from ..sweeps.sweep import sweep
     from ..system.body_parameters import refuse_vague

@@ -24,23 +24,25 @@ The acceleration therefore follows from the equations alone, independent of the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-
 import numpy as np
 import pinocchio as pin
-
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import replace
 from ..common.arrays import Array
 from ..common.errors import InputError
 from ..reduction.cyclic_joints import SymmetricBall
-from ..simulation.balances import energy_balance, momentum_balance
+from ..simulation.balances import energy_balance
+from ..simulation.balances import momentum_balance
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import State
-from ..system.system import System, moved_masses
-from .full_system import gravity_load_sizes, mass_matrix
-from .reference_solution import SPREAD_MARGIN, FullState
+from ..system.system import System
+from ..system.system import moved_masses
+from .full_system import gravity_load_sizes
+from .full_system import mass_matrix
+from .reference_solution import SPREAD_MARGIN
+from .reference_solution import FullState
 from .step_defects import full_states
-
 
 def axial_momentum_drifts(
     system: System, balls: Sequence[SymmetricBall], states: State
@@ -124,11 +126,11 @@ def audit_trajectory(traj: Trajectory, states: State) -> Audit:
     """Audit states of a trajectory; subtract work and impulse of its forces."""
     work = energy_balance(traj.plan, traj.motion, states).work.sum(axis=1)
     impulse = None
-    if traj.plan.acting.momentum_changes:
+    if traj.plan.momentum_changes:
         impulse = momentum_balance(traj.plan, traj.motion, states).impulse
     audit = audit_states(FullState(traj.scene), states, work, impulse)
     stopped = {bound.v for bound in traj.scene.bounds}  # impulses change these momenta
-    balls = [b for b in traj.plan.acting.symmetric_balls if b.joint.v.start not in stopped]
+    balls = [b for b in traj.plan.symmetric_balls if b.joint.v.start not in stopped]
     drifts = axial_momentum_drifts(traj.system, balls, states)
     return replace(audit, momenta=np.column_stack([audit.momenta, *drifts]))
 
@@ -308,7 +310,7 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     size = full.totals.radius_of_gyration(q0)
     route, parameters = accelerations(traj, times, size), traj.motion.numbers(times)
     states, r = route.states, full.system.r
-    driven = [r + k for k in traj.plan.acting.driven]
+    driven = [r + k for k in traj.plan.driven]
     # Two differences may agree by chance at one time, but not at five in sequence.
     half = _WINDOW // 2
     padded = np.pad(route.spread, ((half, half), (0, 0)), mode="edge")
@@ -423,10 +425,10 @@ def accelerations(traj: Trajectory, t: Array, size: float) -> Accelerations:
     units = np.ones(system.n)
     units[: system.group.linear] = 0.0
     units[system.r :][[unit == "m" for unit in system.units]] = 1.0 / size
-    units[system.r :][list(traj.plan.acting.cyclic)] = 0.0
+    units[system.r :][list(traj.plan.cyclic)] = 0.0
     pace = np.abs(v) @ units
     h = np.divide(_STEP, pace, out=np.ones(len(t)), where=pace > 0.0)
-    if traj.plan.acting.driven:
+    if traj.plan.driven:
         step_ends = motion.knots
         last = np.clip(np.searchsorted(step_ends, t), 1, len(step_ends) - 1)
         h = np.minimum(h, _FRACTION_OF_STEP * (step_ends[last] - step_ends[last - 1]))

@@ -315,8 +315,8 @@ def large_angles(x: Array, system: System) -> str:
 
 def _angles(x: Array, system: System) -> list[tuple[str, float]]:
     """Return names and angles of the revolute joints of a shape (nx,)."""
-    rows = zip(system.x_names, x.tolist(), system.space.x_units, strict=True)
-    return [(name, value) for name, value, unit in rows if unit == "rad"]
+    entries = zip(system.x_names, x.tolist(), system.space.x_units, strict=True)
+    return [(name, value) for name, value, unit in entries if unit == "rad"]
 
 
 _NOTICEABLE = 1e-6  # change of an initial state that is reported [relative]

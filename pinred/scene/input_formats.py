@@ -6,33 +6,67 @@ Signal, a number or a formula.  Pinocchio's (q, v) may replace pose, shape and v
 
 Checks go beyond the type of a value.  They concern the keyframe, report times and lists of forces,
 and the time span that signals and controllers cover.
+
+Of the forces in a robot's file, the options select the passive ones and the actuators that act.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from numbers import Real
-from typing import TYPE_CHECKING, Any, Literal
-
 import numpy as np
+from collections.abc import Iterable
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import replace
+from numbers import Real
+from typing import TYPE_CHECKING
+from typing import Any
+from typing import Literal
 from numpy.typing import ArrayLike
-
-from ..common.argument_kinds import build_from_text, parse_call
-from ..common.arrays import Array, as_floats, entries_of, positive, read_only, vector
-from ..common.errors import InputError, PinredError, ShapeError
-from ..common.names import brief, listed, nearest, one_of, quoted
-from ..common.parameter import Parameter, VectorParameter, refuse_entry
-from ..forces.controller import Control, Controller
+from ..common.argument_kinds import build_from_text
+from ..common.argument_kinds import parse_call
+from ..common.arrays import Array
+from ..common.arrays import as_floats
+from ..common.arrays import entries_of
+from ..common.arrays import positive
+from ..common.arrays import read_only
+from ..common.arrays import vector
+from ..common.errors import InputError
+from ..common.errors import PinredError
+from ..common.errors import ShapeError
+from ..common.names import brief
+from ..common.names import listed
+from ..common.names import nearest
+from ..common.names import one_of
+from ..common.names import quoted
+from ..common.parameter import Parameter
+from ..common.parameter import VectorParameter
+from ..common.parameter import refuse_entry
+from ..forces.controller import Control
+from ..forces.controller import Controller
 from ..forces.force import Force
-from ..forces.signals import Attitude, Constant, Expression, Signal
+from ..forces.signals import Attitude
+from ..forces.signals import Constant
+from ..forces.signals import Expression
+from ..forces.signals import Signal
 from ..forces.signals.attitude_signal import parse_attitude
-from ..integrators.methods import METHODS, Method
-from ..system.coordinates import Configuration, Velocity
+from ..integrators.methods import METHODS
+from ..integrators.methods import Method
+from ..system.coordinates import Configuration
+from ..system.coordinates import Velocity
 from ..system.coupling import following
-from ..system.model_parameters import ModelParameters, joined, kinds_near, plain_value, requested
-from ..system.system import System, nominal
+from ..system.model_parameters import ModelParameters
+from ..system.model_parameters import joined
+from ..system.model_parameters import kinds_near
+from ..system.model_parameters import plain_value
+from ..system.model_parameters import requested
+from ..system.system import System
+from ..system.system import nominal
 from .initial_state import DURATION
+from ..system.ball_forces import BallSpring
+from ..system.passive import Damper
+from ..system.passive import Friction
+from ..system.passive import Spring
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
@@ -444,4 +478,115 @@ def given_parameters(system: System, parameters: Any) -> GivenParameters:
     numbers = varied.checked(values)
     return GivenParameters(
         values, others, varied if varied.names else None, numbers, varied.system(numbers)
+    )
+
+
+def check_passive(passive: Any, friction: Any) -> tuple[bool, float | None]:
+    """Validate the options `passive` and `friction` [rad/s | m/s]; raise InputError."""
+    if not isinstance(passive, bool):
+        raise InputError(f"passive must be True or False, got {passive!r}")
+    if friction is None:
+        return passive, None
+    if isinstance(friction, bool):
+        raise InputError(
+            f"friction must be the width of the smooth law [rad/s | m/s], got {friction!r}"
+        )
+    return passive, positive(friction, "friction")
+
+
+def acting_passive(system: System, *, passive: bool, friction: float | None) -> tuple[Force, ...]:
+    """Return the forces of the robot's file that act in a scene.
+
+    Args:
+        system: System with the forces of its file.
+        passive: Whether springs and dampers act.
+        friction: Width of the smooth friction law [rad/s | m/s]; None for no friction.
+    Returns:
+        The forces, with friction in its smooth form.
+    """
+    acting: list[Force] = []
+    for force in system.passive:
+        if not isinstance(force, Friction):
+            if passive:
+                acting.append(force)
+        elif friction is not None:
+            acting.append(force.smoothed(friction))
+    return tuple(acting)
+
+
+def passive_left_out(
+    system: System, *, passive: bool = False, friction: float | None = None, who: str = "the run"
+) -> str:
+    """Describe the forces of the robot's file that do not act.
+
+    Args:
+        system: System with the forces of its file.
+        passive: Whether springs and dampers act.
+        friction: Width of the smooth friction law [rad/s | m/s]; None for no friction.
+        who: Subject of the sentence.
+    Returns:
+        A sentence with the options that make them act; empty if all forces act.
+    """
+    springs = [f for f in system.passive if not passive and not isinstance(f, Friction)]
+    rubbing = [f for f in system.passive if friction is None and isinstance(f, Friction)]
+    omitted = [*springs, *rubbing]
+    if not omitted:
+        return ""
+    counts = [
+        f"{count} {singular if count == 1 else plural}"
+        for kind, singular, plural in (
+            (Damper, "damper", "dampers"),
+            ((Spring, BallSpring), "spring", "springs"),
+            (Friction, "joint with dry friction", "joints with dry friction"),
+        )
+        if (count := sum(isinstance(force, kind) for force in omitted))
+    ]
+    names = counts[0] if len(counts) == 1 else f"{', '.join(counts[:-1])} and {counts[-1]}"
+    pronoun = "it" if len(omitted) == 1 else "them"
+    hints = []
+    if springs:
+        hints.append(f"passive=True uses {'springs and dampers' if rubbing else pronoun}")
+    if rubbing:
+        hints.append(f"friction=WIDTH uses {'the friction' if springs else pronoun}")
+    return f"the file has {names}; {who} leaves {pronoun} out ({', '.join(hints)})"
+
+
+def actuation(system: System, controls: Mapping[str, Control] | Controller) -> tuple[Force, ...]:
+    """Return the forces of the actuators that a scene drives.
+
+    Args:
+        system: System with the actuators of its file.
+        controls: Checked controls of the scene.
+    """
+    from ..forces.actuation import Actuation
+
+    if isinstance(controls, Controller):
+        return (controls,)
+    by_name = {actuator.name: actuator for actuator in system.actuators}
+    driven = tuple((by_name[name], control) for name, control in controls.items())
+    return (Actuation(driven),) if driven else ()
+
+
+def actuators_left_out(
+    system: System, controls: Mapping[str, Any] | Controller | None = None, who: str = "the run"
+) -> str:
+    """Describe the actuators of the robot's file that do not act.
+
+    Args:
+        system: System with the actuators of its file.
+        controls: Controls of the scene; None for none.
+        who: Subject of the sentence.
+    Returns:
+        A sentence with the option that drives them; empty if all actuators act.
+    """
+    names = [actuator.name for actuator in system.actuators]
+    driven = controls.driven(()) if isinstance(controls, Controller) else controls or ()
+    idle = [name for name in names if name not in driven]
+    if not idle:
+        return ""
+    count, pronoun = ("1", "it") if len(idle) == 1 else (str(len(idle)), "them")
+    noun = f"{'more ' if driven else ''}{'actuator' if len(idle) == 1 else 'actuators'}"
+    return (
+        f"the file has {count} {noun} ({listed(idle, 6)}); {who} leaves {pronoun} out "
+        f"(controls={{NAME: …}} drives {pronoun})"
     )

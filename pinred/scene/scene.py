@@ -13,78 +13,92 @@ other options, so an option that was changed in place gets its own scene.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+import numpy as np
+from collections.abc import Hashable
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import fields
+from dataclasses import replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
-
-import numpy as np
-
-from ..common.argument_kinds import checks_arguments, is_given
-from ..common.arrays import (
-    Array,
-    copied,
-    positive,
-    read_only,
-    vector,
-    vector_or_zero,
-    whole,
-)
+from typing import TYPE_CHECKING
+from typing import Any
+from typing import Literal
+from ..common.argument_kinds import checks_arguments
+from ..common.argument_kinds import is_given
+from ..common.arrays import Array
+from ..common.arrays import copied
+from ..common.arrays import positive
+from ..common.arrays import read_only
+from ..common.arrays import vector
+from ..common.arrays import vector_or_zero
+from ..common.arrays import whole
 from ..common.errors import InputError
-from ..common.html import card, line, numbers, table
+from ..common.html import card
+from ..common.html import line
+from ..common.html import numbers
+from ..common.html import table
 from ..common.memo import recent
-from ..common.names import brief, one_of
-from ..common.parameter import Parameter, by_name
+from ..common.names import brief
+from ..common.names import one_of
+from ..common.parameter import Parameter
+from ..common.parameter import by_name
 from ..forces.controller import Controller
 from ..forces.force import Force
-from ..forces.force_model_cache import PLAIN, NotKeyedError, key_of, key_of_force
-from ..forces.signals import Attitude, Constant
+from ..forces.force_model_cache import PLAIN
+from ..forces.force_model_cache import NotKeyedError
+from ..forces.force_model_cache import key_of
+from ..forces.force_model_cache import key_of_force
+from ..forces.signals import Attitude
+from ..forces.signals import Constant
 from ..forces.signals.attitude_signal import parse_attitude
-from ..integrators.methods import DOP853_LEAST, AdaptiveGauss, ErrorControl, Method
+from ..integrators.methods import DOP853_LEAST
+from ..integrators.methods import AdaptiveGauss
+from ..integrators.methods import ErrorControl
+from ..integrators.methods import Method
 from ..system.coordinates import InitialState
 from ..system.model_parameters import ModelParameters
 from ..system.robot_file_contents import Keyframe
-from ..system.system import System, checked_system, nominal
+from ..system.system import System
+from ..system.system import checked_system
+from ..system.system import nominal
 from . import input_formats
-from .event import Event, list_events, watched_of
-from .file_forces import (
-    acting_passive,
-    actuation,
-    actuators_left_out,
-    check_passive,
-    passive_left_out,
-)
-from .initial_state import (
-    GivenStates,
-    HeldJoints,
-    Start,
-    closed_state,
-    held_joints,
-    order_by_joint,
-    random_state,
-    refuse_vague,
-    start_of,
-)
-from .input_formats import (
-    GivenParameters,
-    check_keyframe,
-    check_span,
-    compute_report_times,
-    given_parameters,
-    list_forces,
-)
-from .scene_options import (
-    ARRAYS_OF_STATE,
-    HELD,
-    OUTPUTS,
-    SCENE_OPTIONS,
-    SceneFields,
-    describe_fields,
-)
+from .event import Event
+from .event import list_events
+from .event import watched_of
+from .initial_state import GivenStates
+from .initial_state import HeldJoints
+from .initial_state import Start
+from .initial_state import closed_state
+from .initial_state import held_joints
+from .initial_state import order_by_joint
+from .initial_state import random_state
+from .initial_state import refuse_vague
+from .initial_state import start_of
+from .input_formats import GivenParameters
+from .input_formats import check_keyframe
+from .input_formats import check_span
+from .input_formats import compute_report_times
+from .input_formats import given_parameters
+from .input_formats import list_forces
+from .scene_options import ARRAYS_OF_STATE
+from .scene_options import HELD
+from .scene_options import OUTPUTS
+from .scene_options import SCENE_OPTIONS
+from .scene_options import SceneFields
+from .scene_options import describe_fields
 from .scene_options import ENGINES as ENGINES
 from .scene_options import Engine as Engine
-from .stop import Bound, bounds_of, parse_stops, starts_beyond
+from .stop import Bound
+from .stop import bounds_of
+from .stop import parse_stops
+from .stop import starts_beyond
+from .input_formats import acting_passive
+from .input_formats import actuation
+from .input_formats import actuators_left_out
+from .input_formats import check_passive
+from .input_formats import passive_left_out
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
@@ -141,23 +155,23 @@ def _key_of_state(value: Any) -> Hashable:
 
 def key_of_option(value: Any) -> Hashable:
     """Return the key of an option that does not belong to the initial state."""
-    kind = type(value)
-    if kind in PLAIN:
-        return kind, value
-    if kind in (dict, tuple) and not value:
-        return kind.__name__
-    if kind is np.ndarray:
+    value_type = type(value)
+    if value_type in PLAIN:
+        return value_type, value
+    if value_type in (dict, tuple) and not value:
+        return value_type.__name__
+    if value_type is np.ndarray:
         return key_of(value)
-    if kind is list and {*map(type, value)} <= _NUMBERS:
-        return kind, tuple(map(type, value)), tuple(value)
+    if value_type is list and {*map(type, value)} <= _NUMBERS:
+        return value_type, tuple(map(type, value)), tuple(value)
     if isinstance(value, Force):
         return key_of_force(value)
-    if kind in (list, tuple) and any(isinstance(entry, Force) for entry in value):
-        return kind, tuple(map(key_of_option, value))
+    if value_type in (list, tuple) and any(isinstance(entry, Force) for entry in value):
+        return value_type, tuple(map(key_of_option, value))
     if isinstance(value, Method):
         # Equal methods may differ in whether the user stated their tolerances.
-        return kind, key_of(vars(value))
-    if kind is MappingProxyType:
+        return value_type, key_of(vars(value))
+    if value_type is MappingProxyType:
         return key_of(dict(value))
     return key_of(value)
 
@@ -267,8 +281,8 @@ class Scene(SceneFields):
         for name in ARRAYS_OF_STATE:
             if values[name] is not None:
                 values[name] = copied(values[name])
-        values["_given"] = given = self._resolve()
-        if self.bounds and (reasons := starts_beyond(self.bounds, given.x)):
+        values["_given"] = initial = self._resolve()
+        if self.bounds and (reasons := starts_beyond(self.bounds, initial.x)):
             raise InputError(reasons[0])
 
     def _check_structure(self) -> Shared:
@@ -441,8 +455,8 @@ class Scene(SceneFields):
         self._keep("controls", controls)
         file_forces = (*file_forces, *actuation(self.system, controls))
         watched = self._check_events()
-        held: Mapping[str, Constant | Attitude] = vars(self)["_held_plans"]
-        if not (self.springs or forces or file_forces or prescribed or held):
+        constant_plans: Mapping[str, Constant | Attitude] = vars(self)["_held_plans"]
+        if not (self.springs or forces or file_forces or prescribed or constant_plans):
             self._keep("_forces", None)
             self._check_parameters(watched)
             return
@@ -452,7 +466,7 @@ class Scene(SceneFields):
 
         acting = (*forces, *file_forces)
         model = cached_force_model(
-            self.system, self.springs, acting, {**prescribed, **held}, self.varied
+            self.system, self.springs, acting, {**prescribed, **constant_plans}, self.varied
         )
         self._check_parameters((*model.parameters, *watched))
         model = model.with_values(self.parameters)
@@ -577,9 +591,9 @@ class Scene(SceneFields):
 
     def _closed_state(self, x: Array, xdot: Array) -> tuple[Array, Array]:
         """Return the nearest state that closes all loops, and store it as x0 and xdot0."""
-        held: tuple[HeldJoints, HeldJoints] = vars(self)["_held"]
+        held_joints: tuple[HeldJoints, HeldJoints] = vars(self)["_held"]
         report = self.q0 is not None, self.v0 is not None
-        x, xdot = closed_state(self.system, x, xdot, held, report, self.force_model)
+        x, xdot = closed_state(self.system, x, xdot, held_joints, report, self.force_model)
         # A copy of the scene then starts at the same state, although it has no joint names.
         for name, values in (("x0", x), ("xdot0", xdot)):
             if getattr(self, name) is not None:
@@ -642,7 +656,7 @@ def _stops(stops: Any) -> list[tuple[str, str]]:
 def scene_card(scene: Any) -> str:
     """Return the initial state, the forces and the settings of a Scene as HTML."""
     system, start = scene.system, scene.start
-    rows = [
+    joints = [
         (joint.name, numbers(start.x[joint.x]), numbers(start.xdot[joint.v]))
         if joint.kind.is_ball
         else (joint.name, float(start.x[joint.x][0]), float(start.xdot[joint.v][0]))
@@ -663,7 +677,7 @@ def scene_card(scene: Any) -> str:
         f"Scene of {system.name}",
         f"{scene.end:g} s, {len(scene.report_times)} times, rtol {scene.rtol:g}, "
         f"atol {scene.atol:g}, {method}, outputs '{scene.outputs}'",
-        table("start", ["joint", "x", "rate"], rows),
+        table("start", ["joint", "x", "rate"], joints),
         line(f"twist of the base: {numbers(start.xi)}"),
         line(f"pose of the base: {numbers(start.pose)}"),
         table("acting", ["", ""], acting),

@@ -6,23 +6,36 @@ Internally, every stop bounds an independent joint: the stop of a follower is mo
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
-
 import numpy as np
-
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import replace
+from typing import Any
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import InputError
-from ..common.names import brief, listed, nearest, quoted
+from ..common.names import brief
+from ..common.names import listed
+from ..common.names import nearest
+from ..common.names import quoted
 from ..system.loops.kinematics import on_surfaces
-from ..system.loops.loop import BallSurface, Constraint, JointPolynomial
+from ..system.loops.loop import BallSurface
+from ..system.loops.loop import Constraint
+from ..system.loops.loop import JointPolynomial
 from ..system.merge_hinges import LIMITS as LIMITS_OF_HINGES
-from ..system.passive import UNLIMITED, angles_of_balls, limits_of
+from ..system.passive import UNLIMITED
+from ..system.passive import angles_of_balls
+from ..system.passive import limits_of
 from ..system.system import System
-from .toml.schema import ByName, Either, Key, ListOf, Table, Text
-from .toml.signal_tables import NUMBER, POSITIVE
+from .toml.schema import ByName
+from .toml.schema import Either
+from .toml.schema import Key
+from .toml.schema import ListOf
+from .toml.schema import Table
+from .toml.schema import Text
+from .toml.value_tables import NUMBER
+from .toml.value_tables import POSITIVE
 
 FILE = "file"  # value of the option for the limits of the robot's file
 STOP_TABLE = Table(
@@ -193,9 +206,9 @@ class Bound:
 
     def normal(self, x: Array, m: int) -> Array:  # noqa: ARG002
         """Return the rates of the gap per rate of the shape, (m,), at shape x (nx,)."""
-        row = np.zeros(m)
-        row[self.v] = self.sign
-        return row
+        gradient = np.zeros(m)
+        gradient[self.v] = self.sign
+        return gradient
 
     def normal_rate(self, x: Array, xdot: Array) -> Array:  # noqa: ARG002
         """Return the time derivative of the normal at shape rate xdot (m,), (m,)."""
@@ -234,10 +247,10 @@ class SumBound(Bound):
 
     def normal(self, x: Array, m: int) -> Array:  # noqa: ARG002
         """Return the rates of the gap per rate of the shape, (m,), at shape x (nx,)."""
-        row = np.zeros(m)
+        gradient = np.zeros(m)
         for _, v, ratio in self.terms:
-            row[v] = self.sign * ratio
-        return row
+            gradient[v] = self.sign * ratio
+        return gradient
 
 
 @dataclass(frozen=True)
@@ -281,9 +294,9 @@ class BallBound(Bound):
             rates = tilted / max(size, 1e-300)
         else:
             rates = n + (along * (v - along * n) - w * across) / (along**2 + w**2)
-        row = np.zeros(m)
-        row[self.v : self.v + 3] = self.sign * rates
-        return row
+        gradient = np.zeros(m)
+        gradient[self.v : self.v + 3] = self.sign * rates
+        return gradient
 
     def normal_rate(self, x: Array, xdot: Array) -> Array:
         """Return the time derivative of the normal at shape rate xdot (m,), (m,)."""
@@ -307,9 +320,9 @@ class BallBound(Bound):
             length = max(float(np.linalg.norm(tilted)), 1e-300)
             unit = tilted / length
             change = (change - (unit @ change) * unit) / length
-        row = np.zeros(len(xdot))
-        row[self.v : self.v + 3] = self.sign * change
-        return row
+        gradient_rate = np.zeros(len(xdot))
+        gradient_rate[self.v : self.v + 3] = self.sign * change
+        return gradient_rate
 
     def is_undefined(self, x: Array) -> bool:
         """Return whether the angle is not defined at shape x (nx,): a twist at a swing of π."""
@@ -409,7 +422,7 @@ def parse_stops(value: Any, system: System) -> dict[str, Stop | BallStop]:
 def is_number_of_stop(name: str, system: System) -> bool:
     """Return whether a name has the form "JOINT.stop.NUMBER" with a joint of a system."""
     joint, dots, _ = name.rpartition(".stop.")
-    return bool(dots) and joint in {each.name for each in system.tree.joints}
+    return bool(dots) and joint in {tree_joint.name for tree_joint in system.tree.joints}
 
 
 def number_of_stop(stops: Mapping[str, Stop | BallStop], name: str, what: str) -> float:
@@ -538,9 +551,9 @@ def _bounds_of_sum(system: System, name: str, x: int, v: int, stop: Stop) -> lis
             f"stops: joint '{name}' follows {len(rates)} joints, and "
             f"{name if leader else 'each of them'} is continuous. Put stops on these joints instead"
         )
-    own = (1.0, stop, terms, float(coupled.offset[x]), leader)
+    arguments = (1.0, stop, terms, float(coupled.offset[x]), leader)
     return [
-        SumBound(name, places[0], rates[0][0], sign, position, *own)
+        SumBound(name, places[0], rates[0][0], sign, position, *arguments)
         for sign, position in ((1.0, stop.lower), (-1.0, stop.upper))
         if not math.isinf(position)
     ]

@@ -16,25 +16,30 @@ prescribed joints and τ of the others are known.  It then determines τ of the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-
 import numpy as np
 import pinocchio as pin
+from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import dataclass
 from numpy.polynomial import legendre
-
 from ..common.argument_kinds import checks_arguments
-from ..common.arrays import Array, FrozenArrays, read_only
-from ..reduction.pointwise_reduction import com_derivative, symmetric
+from ..common.arrays import Array
+from ..common.arrays import FrozenArrays
+from ..common.arrays import read_only
+from ..reduction.pointwise_reduction import com_derivative
+from ..reduction.pointwise_reduction import symmetric
 from ..reduction.potential import shape_gravity
 from ..scene.stop import Bound
 from ..system.joints import axes_of
-from ..system.loops.kinematics import loop_jacobian, loop_jacobian_rate
-from ..system.state_fields import State, with_base
+from ..system.loops.kinematics import loop_jacobian
+from ..system.loops.kinematics import loop_jacobian_rate
+from ..system.state_fields import State
+from ..system.state_fields import with_base
 from ..system.system import System
 from .motion import Motion
 from .plan import Plan
-from .reduced_flow import Sample, map_samples
+from .reduced_flow import Sample
+from .reduced_flow import map_samples
 
 _POINTS = 8  # Number of Gauss points in each step.
 _ROUND_OFF = 16.0 * float(np.finfo(float).eps)  # of all components, relative to the largest one
@@ -70,13 +75,13 @@ class EnergyBalance(FrozenArrays):
     def _repr_html_(self) -> str:
         from ..common.html import card, table
 
-        rows = [
+        entries = [
             ("energy at the start", float(self.energy[0])),
             *((f"work of {k}", float(w)) for k, w in zip(self.labels, self.work[-1], strict=True)),
             ("energy at the end", float(self.energy[-1])),
             ("largest residual", float(np.abs(self.residual).max())),
         ]
-        return card("Energy", f"balance to {self.t[-1]:g} s", table("", ["", "J"], rows))
+        return card("Energy", f"balance to {self.t[-1]:g} s", table("", ["", "J"], entries))
 
 
 @checks_arguments
@@ -104,9 +109,9 @@ class MomentumBalance(FrozenArrays):
 
         J, worst = self.momentum, np.abs(self.residual).max(axis=0)
         columns = np.column_stack([J[0], self.impulse[-1], J[-1], worst])
-        rows = [[str(k), *row.tolist()] for k, row in enumerate(columns)]
+        components = [[str(k), *numbers.tolist()] for k, numbers in enumerate(columns)]
         head = ["component", "start", "impulse", "end", "largest residual"]
-        return card("Spatial momentum", f"balance to {self.t[-1]:g} s", table("", head, rows))
+        return card("Spatial momentum", f"balance to {self.t[-1]:g} s", table("", head, components))
 
 
 def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
@@ -179,14 +184,14 @@ def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalan
         for k, q in enumerate(full.q):
             moment = np.cross(pin.centerOfMass(model, data, q), weight)
             wrenches[k] = axes.T @ (np.array([weight, moment]) @ rotation).ravel()
-        if forces is not None and plan.acting.wrench:
+        if forces is not None and plan.wrench:
             samples, numbers = motion.samples(t)
             body = forces.acting(samples.force_inputs(t, numbers)).wrench
             wrenches += system.group.spatial_momentum(full.pose, body)
         return wrenches
 
     impulse = np.zeros((len(states.t), system.r))
-    if plan.acting.wrench or weight.any():
+    if plan.wrench or weight.any():
         impulse = _integral(motion, states.t, compute_wrenches)
     return MomentumBalance(states.t, states.spatial_momentum, impulse)
 
@@ -239,7 +244,7 @@ def joint_torques(plan: Plan, motion: Motion, t: Array) -> Array:
     if plan.forces is not None:
         samples, numbers = motion.samples(t)
         acting = np.array(plan.forces.acting(samples.force_inputs(t, numbers)).torque)
-        acting[:, list(plan.acting.driven)] += driving
+        acting[:, list(plan.driven)] += driving
         torques = acting + of_stops if of_stops.any() else acting
     return read_only(torques)
 
@@ -255,15 +260,15 @@ def torques_of_motion(plan: Plan, motion: Motion, t: Array) -> tuple[Array, Arra
         (T, k) in the order of the prescribed joints, and (T, m), zero for moving joints [N·m | N].
     """
     samples, numbers = motion.samples(t)
-    driven = len(plan.acting.driven)
+    driven = len(plan.driven)
     driving, reactions = np.zeros((len(t), driven)), np.zeros((len(t), plan.system.m))
-    for rest, rows in motion.resting(t):
-        chosen = map_samples(lambda field, rows=rows: field[0][rows], [samples])
-        torques = driving_torques(plan, t[rows], chosen, numbers[rows], rest)
-        driving[rows] = torques[:, :driven]
-        for k, bound in enumerate(rest):
+    for stops, indices in motion.resting(t):
+        chosen = map_samples(lambda field, indices=indices: field[0][indices], [samples])
+        torques = driving_torques(plan, t[indices], chosen, numbers[indices], stops)
+        driving[indices] = torques[:, :driven]
+        for k, bound in enumerate(stops):
             normals = np.array([bound.normal(x, plan.system.m) for x in chosen.x])
-            reactions[rows] += torques[:, driven + k, None] * normals
+            reactions[indices] += torques[:, driven + k, None] * normals
     return read_only(driving), read_only(reactions)
 
 
@@ -282,15 +287,15 @@ def driving_torques(
         (T, k) [N·m | N]: torques in the order of the prescribed joints; then the reactions of the
         stops, away from them.
     """
-    count = len(plan.acting.driven) + len(rest)
+    count = len(plan.driven) + len(rest)
     if not count:
         return read_only(np.zeros((len(t), 0)))
     torques = np.empty((len(t), count))
     count = max(1, _ENTRIES // plan.system.n**2)
     for first in range(0, len(t), count):
-        rows = slice(first, first + count)
-        chunk = map_samples(lambda field, rows=rows: field[0][rows], [samples])
-        torques[rows] = _driving_torques(plan, t[rows], chunk, numbers[rows], rest)
+        chunk_at = slice(first, first + count)
+        chunk = map_samples(lambda field, chunk_at=chunk_at: field[0][chunk_at], [samples])
+        torques[chunk_at] = _driving_torques(plan, t[chunk_at], chunk, numbers[chunk_at], rest)
     return read_only(torques)
 
 
@@ -301,7 +306,7 @@ def _driving_torques(
     system, r, forces = plan.system, plan.system.r, plan.forces
     on_surface = [bound.surface is not None for bound in rest]
     locked = [bound for bound, is_on in zip(rest, on_surface, strict=True) if not is_on]
-    driven = r + np.array([*plan.acting.driven, *(bound.v for bound in locked)], dtype=np.intp)
+    driven = r + np.array([*plan.driven, *(bound.v for bound in locked)], dtype=np.intp)
     free = np.setdiff1d(np.arange(system.n), driven)
     H, force = _inertial_terms(system, samples)
     a, loads = np.zeros_like(force), np.zeros_like(force)
@@ -313,14 +318,14 @@ def _driving_torques(
     surfaces = [bound for bound, is_on in zip(rest, on_surface, strict=True) if is_on]
     reactions = np.empty((len(t), len(surfaces)))
     if system.closure is not None or surfaces:
-        for k, row in enumerate(loads):
+        for k, load in enumerate(loads):
             J, bias = _constraints(system, samples.x[k], samples.xdot[k], surfaces)
             bias = bias + J[:, driven] @ a[k, driven]
             right = np.column_stack([free_force[k], J[:, free].T])
             solved = np.linalg.solve(H[k][np.ix_(free, free)], right)
             mobility = J[:, free] @ solved[:, 1:]
             multipliers = np.linalg.solve(mobility, -bias - J[:, free] @ solved[:, 0])
-            row[:] = multipliers @ J
+            load[:] = multipliers @ J
             reactions[k] = multipliers[len(J) - len(surfaces) :]
     right = (free_force + loads[:, free])[..., None]
     a[:, free] = np.linalg.solve(H[:, free[:, None], free], right)[..., 0]
@@ -328,7 +333,7 @@ def _driving_torques(
     torques = np.asarray(needed - force[:, driven] - loads[:, driven])
     if not rest:
         return torques
-    count = len(plan.acting.driven)
+    count = len(plan.driven)
     of_stops = np.empty((len(t), len(rest)))
     of_stops[:, np.logical_not(on_surface)] = torques[:, count:] * [bound.sign for bound in locked]
     of_stops[:, on_surface] = reactions
@@ -363,14 +368,14 @@ def _constraints(
 
     Base and free joints obey H a = F + Jᵀλ and J a + J̇ v = 0.
     """
-    rows, rates = [np.zeros((0, system.m))], [np.zeros((0, system.m))]
+    gradients, rates = [np.zeros((0, system.m))], [np.zeros((0, system.m))]
     if system.closure is not None:
-        rows.append(loop_jacobian(system, x)[system.closure.rows])
+        gradients.append(loop_jacobian(system, x)[system.closure.rows])
         rates.append(loop_jacobian_rate(system, x, xdot)[system.closure.rows])
     for bound in surfaces:
-        rows.append(bound.normal(x, system.m)[None])
+        gradients.append(bound.normal(x, system.m)[None])
         rates.append(bound.normal_rate(x, xdot)[None])
-    on_shape = np.vstack(rows)
+    on_shape = np.vstack(gradients)
     J = np.hstack([np.zeros((len(on_shape), system.r)), on_shape])
     return J, np.vstack(rates) @ xdot
 

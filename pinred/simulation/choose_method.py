@@ -11,21 +11,25 @@ Forces are stiff if they decay fast. At zero momentum the linearisation of M ẍ
 
 from __future__ import annotations
 
+import numpy as np
 from dataclasses import dataclass
 from math import log10
-
-import numpy as np
-
 from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
 from ..common.memo import once
 from ..forces.force_model import ForceModel
-from ..forces.force_numbers import BaseInSpace, ForceInputs
-from ..integrators.methods import DOP853, DOP853_LEAST, AdaptiveGauss, Method, Radau
+from ..forces.force_numbers import BaseInSpace
+from ..forces.force_numbers import ForceInputs
+from ..integrators.methods import DOP853
+from ..integrators.methods import DOP853_LEAST
+from ..integrators.methods import AdaptiveGauss
+from ..integrators.methods import Method
+from ..integrators.methods import Radau
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.coupled_groups import Groups
-from ..reduction.tree.identical_branches import Lanes, links_of
+from ..reduction.tree.identical_branches import Lanes
+from ..reduction.tree.identical_branches import links_of
 from ..scene.scene import Scene
 from ..system.system import System
 
@@ -208,13 +212,13 @@ def _rates(system: System, forces: ForceModel, numbers: Array) -> Rates:
         base = BaseInSpace(system.group.identity(), xi, np.zeros(r), np.zeros(r))
         return forces.acting(ForceInputs(0.0, x, xdot, xi, np.zeros(r), numbers, base)).torque
 
-    rest, move, zeros = system.space.neutral, system.space.integrate, np.zeros(m)
+    x0, move, zeros = system.space.neutral, system.space.integrate, np.zeros(m)
     K, D = np.empty((m, m)), np.empty((m, m))
     for k in range(m):
         e = np.zeros(m)
         e[k] = _STEP
-        K[:, k] = (torque(move(rest, -e), zeros) - torque(move(rest, e), zeros)) / (2.0 * _STEP)
-        D[:, k] = (torque(rest, -e) - torque(rest, e)) / (2.0 * _STEP)
+        K[:, k] = (torque(move(x0, -e), zeros) - torque(move(x0, e), zeros)) / (2.0 * _STEP)
+        D[:, k] = (torque(x0, -e) - torque(x0, e)) / (2.0 * _STEP)
     free = np.setdiff1d(np.arange(m), list(forces.joints))
     K, D, M = (matrix[np.ix_(free, free)] for matrix in (K, D, at.reduced_metric))
     with np.errstate(over="ignore", invalid="ignore"):

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
 import pinocchio as pin
-
-from ..common.arrays import Array, read_only
+from collections.abc import Callable
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+from typing import Any
+from ..common.arrays import Array
+from ..common.arrays import read_only
 from ..common.errors import IntegrationError
-from ..common.names import NamedResults, listed
+from ..common.names import NamedResults
+from ..common.names import listed
 from ..reduction.pointwise_reduction import symmetric
 from ..reduction.tree.loop_constraints import jacobian_function
-from ..system.loops.kinematics import loop_kinematics, rotation_axes
+from ..system.loops.kinematics import loop_kinematics
+from ..system.loops.kinematics import rotation_axes
 from ..system.loops.loop import Loop
-from ..system.loops.loop_assembly import rate_units, singularity
+from ..system.loops.loop_assembly import rate_units
+from ..system.loops.loop_assembly import singularity
 from ..system.state_fields import State
 from ..system.system import System
 from .plan import Plan
@@ -153,14 +157,14 @@ def refuse_singular_shapes(
         span = (float(times[first]), float(times[last]))
         from scipy.optimize import minimize_scalar
 
-        found = minimize_scalar(value, bounds=span, method="bounded", options={"xatol": 1e-12})
-        if passed[k] or min(found.fun, values[k]) < _SINGULAR:
-            at = shapes_at(np.array([found.x]))[0]
+        minimum = minimize_scalar(value, bounds=span, method="bounded", options={"xatol": 1e-12})
+        if passed[k] or min(minimum.fun, values[k]) < _SINGULAR:
+            at = shapes_at(np.array([minimum.x]))[0]
             raise SingularLoopsError(
                 f"the equations of the loops {_names(system)} of '{system.name}' become dependent "
-                f"at t = {found.x:g} s, x = {at}. There the motion can continue in several ways. "
+                f"at t = {minimum.x:g} s, x = {at}. There the motion can continue in several ways. "
                 "End the motion earlier, or avoid the shape with a limit or a spring.",
-                float(found.x),
+                float(minimum.x),
             )
 
 
@@ -195,9 +199,9 @@ def loop_forces(plan: Plan, states: State, samples: Sample, numbers: Array) -> M
     for k in range(count if system.loops else 0):
         force = None if acting is None else np.append(acting.wrench[k], acting.torque[k])
         multipliers = _multipliers(plan, states, k, force, accelerations[k])
-        for loop, rows in zip(system.loops, loop_kinematics(system).rows, strict=True):
-            own = multipliers[rows]
-            wrenches[loop.name][k] = _wrench(loop.kind, own) if isinstance(loop, Loop) else own
+        for loop, equations in zip(system.loops, loop_kinematics(system).rows, strict=True):
+            lam = multipliers[equations]
+            wrenches[loop.name][k] = _wrench(loop.kind, lam) if isinstance(loop, Loop) else lam
     return NamedResults("loop", {name: read_only(wrench) for name, wrench in wrenches.items()})
 
 
@@ -222,8 +226,8 @@ def _multipliers(
     if force is not None:
         tau += force
     moving = np.arange(len(H))
-    if plan.acting.driven:  # drives apply the forces that their accelerations need
-        driven = r + np.array(plan.acting.driven)
+    if plan.driven:  # drives apply the forces that their accelerations need
+        driven = r + np.array(plan.driven)
         moving = np.setdiff1d(moving, driven)
         tau, bias = tau - H[:, driven] @ accelerations, bias + J[:, driven] @ accelerations
         J = J[:, moving]

@@ -168,35 +168,35 @@ class RootSearch:
         Returns:
             The sign changes; `event` is the index of the function.
         """
-        parts = np.arange(_PARTS * (len(step_ends) - 1) + 1) / _PARTS
-        times = np.interp(parts, np.arange(len(step_ends)), step_ends)
+        fractions = np.arange(_PARTS * (len(step_ends) - 1) + 1) / _PARTS
+        times = np.interp(fractions, np.arange(len(step_ends)), step_ends)
         times, values = self._sample(segment, times[times >= self._reached])
         crossings = []
-        for k, row in zip(self._sampled, values, strict=True):
-            changes, sign = _sign_changes(row, self._signs[k])
+        for k, values_of_event in zip(self._sampled, values, strict=True):
+            changes, sign = _sign_changes(values_of_event, self._signs[k])
             for j in changes:
                 time = self._root(segment, k, times[max(j - 1, 0)], times[j])
-                crossings.append(Crossing(k, time, rising=bool(row[j] > 0.0)))
+                crossings.append(Crossing(k, time, rising=bool(values_of_event[j] > 0.0)))
             self._signs[k] = sign
         return crossings
 
     def _sample(self, segment: Segment, times: Array) -> tuple[Array, Array]:
         """Return times with further ones between them, (T,), and the values at them, (E, T)."""
         values = self.values(segment, times)[self._sampled]
-        left = np.arange(len(times) - 1)
+        starts = np.arange(len(times) - 1)
         for _ in range(_HALVINGS):
-            if not left.size:
+            if not starts.size:
                 break
-            middles = 0.5 * (times[left] + times[left + 1])
-            predicted, size = _predict(times, values, left, middles)
+            middles = 0.5 * (times[starts] + times[starts + 1])
+            predicted, size = _predict(times, values, starts, middles)
             actual = self.values(segment, middles)[self._sampled]
             wrong = (np.abs(actual - predicted) > _UNPREDICTED * size).any(axis=0)
-            times = np.insert(times, left + 1, middles)
-            values = np.insert(values, left + 1, actual, axis=1)
+            times = np.insert(times, starts + 1, middles)
+            values = np.insert(values, starts + 1, actual, axis=1)
             # Samples of a fast oscillation may agree by chance, so neighbours are halved, too.
-            first = (left + np.arange(len(left)))[wrong]
+            first = (starts + np.arange(len(starts)))[wrong]
             near = np.unique(np.add.outer(first, np.arange(-2, 4)))
-            left = near[(near >= 0) & (near < len(times) - 1)]
+            starts = near[(near >= 0) & (near < len(times) - 1)]
         return self._with_extrema(segment, times, values)
 
     def _with_extrema(self, segment: Segment, times: Array, values: Array) -> tuple[Array, Array]:
@@ -373,13 +373,13 @@ def _predict(times: Array, values: Array, left: Indices, middles: Array) -> tupl
     """
     count = min(4, len(times))
     window = np.clip(left - 1, 0, len(times) - count)[:, None] + np.arange(count)
-    nodes, rows = times[window], values[:, window]
+    nodes, samples = times[window], values[:, window]
     weights = np.ones_like(nodes)
     for i in range(count):
         for j in range(count):
             if i != j:
                 weights[:, i] *= (middles - nodes[:, j]) / (nodes[:, i] - nodes[:, j])
-    return (rows * weights).sum(axis=2), np.abs(rows).max(axis=2)
+    return (samples * weights).sum(axis=2), np.abs(samples).max(axis=2)
 
 
 def cut_at(end_time: float, segment: Segment, integrate: Integrate) -> list[Segment]:

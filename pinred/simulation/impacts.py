@@ -51,9 +51,9 @@ def first_root(coefficients: Array) -> float | None:
     Returns:
         The root, or None.
     """
-    parts = [(0.0, 1.0, coefficients)]
-    while parts:
-        a, b, c = parts.pop()
+    intervals = [(0.0, 1.0, coefficients)]
+    while intervals:
+        a, b, c = intervals.pop()
         if (c > 0.0).all():
             continue
         middle = 0.5 * (a + b)
@@ -62,17 +62,17 @@ def first_root(coefficients: Array) -> float | None:
         changes = np.count_nonzero(np.diff(np.signbit(c)))
         if changes == 1 and c[0] > 0.0 and c[-1] < 0.0 and b - a < _NEWTON:
             return a + (b - a) * _polish(c)
-        left, right = _halves(c)
-        parts += [(middle, b, right), (a, middle, left)]
+        lower_half, upper_half = _halves(c)
+        intervals += [(middle, b, upper_half), (a, middle, lower_half)]
     return None
 
 
 def _halves(c: Array) -> tuple[Array, Array]:
     """Return the Bernstein coefficients of a polynomial on both halves of its interval."""
-    rows = [c]
-    while len(rows[-1]) > 1:
-        rows.append(0.5 * (rows[-1][:-1] + rows[-1][1:]))
-    return np.array([row[0] for row in rows]), np.array([row[-1] for row in rows[::-1]])
+    levels = [c]
+    while len(levels[-1]) > 1:
+        levels.append(0.5 * (levels[-1][:-1] + levels[-1][1:]))
+    return np.array([b[0] for b in levels]), np.array([b[-1] for b in levels[::-1]])
 
 
 def _polish(c: Array) -> float:
@@ -97,10 +97,10 @@ def _polish(c: Array) -> float:
 
 def _at(coefficients: list[float], s: float, degree: int) -> tuple[float, float]:
     """Evaluate a polynomial and its derivative at s from its Bernstein coefficients."""
-    row, r = coefficients, 1.0 - s
+    points, r = coefficients, 1.0 - s
     for _ in range(degree - 1):
-        row = [r * a + s * b for a, b in pairwise(row)]
-    first, last = row
+        points = [r * a + s * b for a, b in pairwise(points)]
+    first, last = points
     return r * first + s * last, degree * (last - first)
 
 
@@ -264,24 +264,24 @@ class MemberImpacts(ImpactTable):
         from ..common.html import card, table
 
         about = f"{self.counts.sum()} impacts, {self.energy_lost.sum():.4g} J lost"
-        rows = [(k, *row) for k, row in zip(self.member.tolist(), self.rows, strict=True)]
+        entries = [(k, *entry) for k, entry in zip(self.member.tolist(), self.rows, strict=True)]
         names = ["member", "t [s]", "joint", "stop", "impulse", "lost [J]"]
-        return card(f"impacts of {self.count} members", about, table("", names, rows))
+        return card(f"impacts of {self.count} members", about, table("", names, entries))
 
 
 def table_of(impacts: Sequence[Impact], momenta: Array) -> ImpactTable:
     """Return the table of impacts, with spatial momenta before and after each, (I, 2, r)."""
-    counts = [len(each.joint) for each in impacts]
-    rates = np.hstack([np.empty((2, 0)), *(each.rates for each in impacts)])
+    counts = [len(impact.joint) for impact in impacts]
+    rates = np.hstack([np.empty((2, 0)), *(impact.rates for impact in impacts)])
     momenta = np.repeat(momenta, counts, axis=0)
     return ImpactTable(
-        t=np.repeat([each.t for each in impacts], counts),
-        joint=tuple(name for each in impacts for name in each.joint),
-        side=tuple(side for each in impacts for side in each.side),
-        impulse=np.concatenate([np.empty(0), *(each.impulse for each in impacts)]),
+        t=np.repeat([impact.t for impact in impacts], counts),
+        joint=tuple(name for impact in impacts for name in impact.joint),
+        side=tuple(side for impact in impacts for side in impact.side),
+        impulse=np.concatenate([np.empty(0), *(impact.impulse for impact in impacts)]),
         rate_before=rates[0],
         rate_after=rates[1],
-        energy_lost=np.concatenate([np.empty(0), *(each.energy_lost for each in impacts)]),
+        energy_lost=np.concatenate([np.empty(0), *(impact.energy_lost for impact in impacts)]),
         momentum_before=momenta[:, 0],
         momentum_after=momenta[:, 1],
     )

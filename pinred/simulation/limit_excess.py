@@ -5,17 +5,20 @@ No simulation enforces these limits.  Balls have none.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
-
 import numpy as np
-
+from collections.abc import Iterator
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+from typing import NamedTuple
 from ..common.arrays import Array
-from ..common.memo import is_first, once
+from ..common.memo import is_first
+from ..common.memo import once
 from ..common.names import listed
 from ..scene.input_formats import list_forces
-from ..system.passive import StatedLimit, limits_of
+from ..system.passive import StatedLimit
+from ..system.passive import limits_of
 from ..system.system import nominal
 
 if TYPE_CHECKING:
@@ -68,8 +71,8 @@ class LimitTable:
     @property
     def exceeded(self) -> tuple[LimitUse, ...]:
         """The limits that the motion exceeds, the largest relative excess first."""
-        beyond = [row for row in self.rows if row.excess > 0.0]
-        return tuple(sorted(beyond, key=lambda row: -_relative(row)))
+        beyond = [use for use in self.rows if use.excess > 0.0]
+        return tuple(sorted(beyond, key=lambda use: -_relative(use)))
 
     def __iter__(self) -> Iterator[LimitUse]:
         return iter(self.rows)
@@ -90,8 +93,8 @@ class LimitTable:
         from ..common.html import card, table
 
         heads = ["joint", "kind", "lower", "upper", "least", "greatest", "excess", "at t [s]"]
-        rows = [_cells(row) for row in self.rows]
-        return card("limits of the file", f"{len(self.exceeded)} exceeded", table("", heads, rows))
+        cells = [_cells(use) for use in self.rows]
+        return card("limits of the file", f"{len(self.exceeded)} exceeded", table("", heads, cells))
 
 
 def limit_table(plan: Plan, motion: Motion) -> LimitTable:
@@ -105,8 +108,8 @@ def limit_table(plan: Plan, motion: Motion) -> LimitTable:
     """
     ends = np.concatenate([[0.0], motion.knots])
     ends = ends[ends <= plan.scene.end]
-    parts = np.linspace(0.0, 1.0, _INSIDE + 2)[:-1]
-    inside = (ends[:-1, None] + np.diff(ends)[:, None] * parts).ravel()
+    fractions = np.linspace(0.0, 1.0, _INSIDE + 2)[:-1]
+    inside = (ends[:-1, None] + np.diff(ends)[:, None] * fractions).ravel()
     t = _some(np.unique(np.concatenate([inside, ends, plan.scene.report_times])), _MOST_TIMES)
     times = _some(t, _MOST_EFFORTS)
     is_bounded = any(limit.kind == "effort" for limit in limits_of(plan.system))
@@ -260,14 +263,14 @@ def _efforts(plan: Plan, motion: Motion, t: Array) -> dict[str, Array]:
             model = cached_force_model(
                 scene.system, scene.springs, [*passive, *scene.own_forces], {}, scene.varied
             ).with_values(scene.parameters)
-            own = np.tile(model.numbers_from(0.0, scene.end), (len(t), 1))
-            torque = torque - model.acting(samples.force_inputs(t, own)).torque
+            own_numbers = np.tile(model.numbers_from(0.0, scene.end), (len(t), 1))
+            torque = torque - model.acting(samples.force_inputs(t, own_numbers)).torque
         for joint in space.joints:
             column = torque[:, joint.v]
             if joint.kind.m == 1 and column.any():
                 efforts[joint.name] = column[:, 0]
     driven = driving_torques(plan, t, samples, numbers)
-    for k, column in zip(plan.acting.driven, driven.T, strict=True):
+    for k, column in zip(plan.driven, driven.T, strict=True):
         efforts[plan.system.shape_names[k]] = column
     return efforts
 

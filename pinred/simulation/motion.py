@@ -1,29 +1,208 @@
 """Motion: the segments of an integrated scene, with located events and controller calls.
 
-Integration stops where a force is not smooth, or where a controller is due.
+Integration stops where a force is not smooth, or where a controller is due.  A `Control` calls the
+controllers, and records the calls.  A `Replay` repeats the actions of a motion, so that another
+simulation runs under the same actions.
 """
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..common.arrays import Array, read_only
+from ..common.errors import InputError
+from ..common.names import brief
+from ..common.waiting import Progress
+from ..forces.columns import Vector
+from ..forces.force_values import BaseInSpace
 from ..forces.switch_times import time_within
+from ..scene.scene import Scene
 from ..scene.stop import Bound
 from ..system.coordinates import Indices
+from ..system.force_interface import SeenState
 from ..system.state_fields import ShapeState, State, map_arrays
+from ..system.system import System
 from .checkpoint import Part, RunRecord
-from .control import Control, ControlAction, Replay
 from .events import Crossing, Watch, cut_at
 from .impacts import ImpactTable
 from .plan import Plan
 from .reduced_flow import Integrate, ReducedFlow, Sample, Segment, map_samples
+
+# Times closer than this fraction of the duration count as equal.
+_ROUND_OFF = 1e-12
+# A controller is due if the time is this close to a multiple of its period, relative to the period.
+_DUE = 1e-9
+
+See = Callable[[], Sample]
+
+
+@dataclass(frozen=True)
+class ControlAction:
+    """One call of a controller, with its result.
+
+    Attributes:
+        t: Time of the call [s].
+        controller: Name of the controller.
+        torque: Torque by joint before its limit [N·m | N], or control by actuator (Scene.controls).
+        wrench: Wrench on the base in the body frame as [linear; angular], (r,) [N | N·m], or None.
+        width: Duration of a pulse [s]; None for a zero-order hold until the next call.
+        seen: The observed state.
+    """
+
+    t: float
+    controller: str
+    torque: Mapping[str, float]
+    wrench: Array | None
+    width: float | None
+    seen: Sample
+
+
+class Control:
+    """The controllers of one simulation, with their states.  Use a new object for each run.
+
+    Attributes:
+        calls: Records of all calls so far.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Start with copies of the initial states of the controllers."""
+        self._scene, self._forces = scene, scene.force_model
+        controllers = [] if self._forces is None else self._forces.held
+        self._states = [deepcopy(c.state0) if c.keeps_state else None for c, _ in controllers]
+        self._called = [-1] * len(controllers)
+        self._until = [np.inf] * len(controllers)
+        self.calls: list[ControlAction] = []
+
+    def begin(self, numbers: Array, t: float, stop: float, see: See) -> float:
+        """Call the controllers that are due at t, and set the force parameters.
+
+        Args:
+            numbers: Force parameters, (p,), changed in place.
+            t: Start of the next segment [s].
+            stop: Latest end of the segment [s].
+            see: Function that returns the observed state at t, called if a controller is due.
+        Returns:
+            End of the segment [s].
+        """
+        forces = self._forces
+        if forces is None:
+            return stop
+        near, sample = _ROUND_OFF * self._scene.end, None
+        for k, (controller, where) in enumerate(forces.held):
+            if self._until[k] <= t + near:  # the pulse has ended
+                numbers[where], self._until[k] = 0.0, np.inf
+            # Calls are at multiples of the period, the first call at t = 0.
+            count = round(t / controller.period)
+            if count > self._called[k] and abs(t / controller.period - count) < _DUE:
+                self._called[k] = count
+                sample = see() if sample is None else sample
+                numbers[where], self._until[k] = self._call(k, t, sample)
+        until = min([stop, *(u for u in self._until if u < stop - near)])
+        forces.set_span(numbers, time_within(t, until))
+        return until
+
+    def saved(self) -> dict[str, Any]:
+        """Return the state of all controllers as nested values, to continue the run later.
+
+        Raises InputError if the state of a controller cannot be pickled.
+        """
+        return {
+            "states": [self._pickled(k) for k in range(len(self._states))],
+            "called": list(self._called),
+            "until": list(self._until),
+            "calls": [_saved_action(action) for action in self.calls],
+        }
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Continue from a saved state, which must be signed by the user: it is unpickled."""
+        self._states = [pickle.loads(data) for data in saved["states"]]
+        self._called, self._until = list(saved["called"]), list(saved["until"])
+        self.calls = [_restored_action(action) for action in saved["calls"]]
+
+    def _pickled(self, k: int) -> bytes:
+        try:
+            return pickle.dumps(self._states[k])
+        except Exception as error:
+            assert self._forces is not None
+            controller, _ = self._forces.held[k]
+            raise InputError(
+                f"checkpoint: expected a state of {controller.name} that can be pickled, got "
+                f"{brief(self._states[k])}: {error}. Use numbers, arrays, lists and dictionaries"
+            ) from error
+
+    def _call(self, k: int, t: float, seen: Sample) -> tuple[Array, float]:
+        """Call controller k; return its force parameters and the end of its pulse [s]."""
+        forces, system = self._forces, self._scene.system
+        assert forces is not None
+        controller, _ = forces.held[k]
+        names, r = system.shape_names, system.r
+        command, self._states[k] = controller.sample(
+            _measured(t, seen, system), seen.mu, self._states[k]
+        )
+        action = controller.held(command, names, r, t)
+        joints, values, width = controller.driven(names), action.values, action.width
+        torque = dict(zip(joints, values.tolist(), strict=False))
+        wrench = read_only(values[len(joints) :].copy()) if controller.wrench else None
+        self.calls.append(ControlAction(t, controller.name, torque, wrench, width, seen))
+        if width is None:
+            return values, np.inf
+        if width <= _ROUND_OFF * self._scene.end:
+            return np.zeros_like(values), np.inf
+        return values, t + width
+
+
+def _saved_action(action: ControlAction) -> dict[str, Any]:
+    observed = vars(action.seen) | {"base": action.seen.base and dict(vars(action.seen.base))}
+    return vars(action) | {"torque": dict(action.torque), "seen": observed}
+
+
+def _restored_action(saved: Mapping[str, Any]) -> ControlAction:
+    observed = dict(saved["seen"])
+    observed["base"] = observed["base"] and BaseInSpace(**observed["base"])
+    wrench = saved["wrench"]
+    wrench = wrench if wrench is None else read_only(wrench)
+    return ControlAction(**{**saved, "wrench": wrench, "seen": Sample(**observed)})
+
+
+def _measured(t: float, seen: Sample, system: System) -> SeenState:
+    """Return the state that a controller observes; its arrays are copies."""
+    x, base = Vector.of(seen.x, system.x_names, "x"), seen.base
+    xdot = Vector.of(seen.xdot, system.shape_names, "xdot")
+    if base is None:  # Scenes leave out the base only if no controller observes it.
+        return SeenState(t, x, xdot, None, None, None, None)
+    group = system.group
+    momenta = group.components("momentum")
+    return SeenState(
+        t,
+        x,
+        xdot,
+        Vector.of(base.pose, group.components("pose"), "pose"),
+        Vector.of(base.xi, group.components("twist"), "xi"),
+        Vector.of(base.mu, momenta, "mu"),
+        Vector.of(base.J, momenta, "J"),
+    )
+
+
+class Replay:
+    """The actions of a motion, repeated segment by segment."""
+
+    def __init__(self, ends: Array, numbers: Sequence[Array]) -> None:
+        """Store the end times (S,) [s] of the segments and their force parameters, (p,) each."""
+        self._ends, self._numbers = ends, numbers
+
+    def begin(self, numbers: Array, t: float, stop: float, see: See) -> float:  # noqa: ARG002
+        """Set the force parameters of the motion at t; see Control.begin."""
+        k = min(int(np.searchsorted(self._ends, t, side="right")), len(self._ends) - 1)
+        numbers[:] = self._numbers[k]
+        return min(stop, float(self._ends[k])) if self._ends[k] > t else stop
 
 
 @dataclass(frozen=True)
@@ -65,13 +244,6 @@ class Segments(Sequence[Segment]):
         """Times of all step ends, (K,) sorted [s]."""
         return np.unique(np.concatenate([segment.knots for segment in self]))
 
-    def reported(self, t: Array) -> Array | None:  # noqa: ARG002
-        """Return the reduced states (T, k) if `t` is the array of report times and they are stored.
-
-        A single segment stores them itself, so the result is None here.
-        """
-        return None
-
     def __len__(self) -> int:
         return len(self.ends)
 
@@ -88,7 +260,10 @@ class Motion:
         actions: Calls of the controllers.
         crossings: Crossings of the events.
         ended_by: The crossing that ended the motion, or None if no event ended it.
+        building: Wall time for kernels that were built during the integration [s].
     """
+
+    building = 0.0
 
     def __init__(
         self,
@@ -174,12 +349,10 @@ class Motion:
         """Return the reduced states at times (T,), (T, k)."""
         if len(self.segments) == 1:
             return np.asarray(self.segments[0].at(t))
-        if (stored := self.segments.reported(t)) is not None:
-            return stored
         y = np.zeros((len(t), self._width))
-        for k, rows in self._by_segment(self._which(t)):
-            states = self.segments[k].at(t[rows])
-            y[rows, : states.shape[1]] = states
+        for k, indices in self._by_segment(self._which(t)):
+            states = self.segments[k].at(t[indices])
+            y[indices, : states.shape[1]] = states
         return y
 
     def states(self, t: Array) -> State | ShapeState:
@@ -193,13 +366,13 @@ class Motion:
         """Return the states at times (T,) that forces depend on, and force parameters, (T, p)."""
         y, which = self.reduced(t), self._which(t)
         numbers = np.array(self.numbers(t)).reshape(len(t), -1)
-        parts, order = [], []
-        for k, rows in self._by_segment(which):
+        samples, order = [], []
+        for k, indices in self._by_segment(which):
             parameters = self.segments[k].parameters
-            parts.append(self.flow_of(k).samples(t[rows], y[rows], parameters))
-            order.append(rows)
+            samples.append(self.flow_of(k).samples(t[indices], y[indices], parameters))
+            order.append(indices)
         inverse_order = np.argsort(np.concatenate(order))
-        return map_samples(lambda columns: np.concatenate(columns)[inverse_order], parts), numbers
+        return map_samples(lambda columns: np.concatenate(columns)[inverse_order], samples), numbers
 
     def numbers(self, t: Array) -> list[Array]:
         """Return the force parameters (p,) at each of times (T,)."""
@@ -209,12 +382,12 @@ class Motion:
         """Return reduced states and their rates at times (T,), without round-off of the time."""
         y, which = np.array(self.reduced(t)), self._which(t)
         rates = np.zeros_like(y)
-        for k, rows in self._by_segment(which):
+        for k, indices in self._by_segment(which):
             flow, parameters = self.flow_of(k), self.segments[k].parameters
-            states = y[rows, : len(flow.y0)]
-            states[:, flow.clock] = t[rows, None]
-            y[rows, : len(flow.y0)] = states
-            rates[rows, : len(flow.y0)] = flow.rates(t[rows], states, parameters)
+            states = y[indices, : len(flow.y0)]
+            states[:, flow.clock] = t[indices, None]
+            y[indices, : len(flow.y0)] = states
+            rates[indices, : len(flow.y0)] = flow.rates(t[indices], states, parameters)
         return Changes(which, y, rates)
 
     def beside(self, t: Array, changes: Changes, s: Array) -> Array:
@@ -235,12 +408,14 @@ class Motion:
 
     def _states(self, t: Array, y: Array, which: Indices) -> State | ShapeState:
         """Compute full states from reduced states of several segments."""
-        parts, order = [], []
-        for k, rows in self._by_segment(which):
-            parts.append(self.flow_of(k).states(t[rows], y[rows], self.segments[k].parameters))
-            order.append(rows)
+        states, order = [], []
+        for k, indices in self._by_segment(which):
+            states.append(
+                self.flow_of(k).states(t[indices], y[indices], self.segments[k].parameters)
+            )
+            order.append(indices)
         inverse_order = np.argsort(np.concatenate(order))
-        return map_arrays(lambda *columns: np.concatenate(columns)[inverse_order], *parts)
+        return map_arrays(lambda *columns: np.concatenate(columns)[inverse_order], *states)
 
     def _by_segment(self, which: Indices) -> Iterator[tuple[int, Indices]]:
         """Yield the index of each segment in `which`, with the indices of the times in it."""
@@ -297,7 +472,6 @@ def follow(
     plan: Plan,
     flow: ReducedFlow,
     integrate: Integrate,
-    through: Callable[[], Segments] | None = None,
     record: RunRecord | None = None,
     *,
     thinned: bool = False,
@@ -308,8 +482,6 @@ def follow(
         plan: The plan of the scene.
         flow: Reduced flow of the plan.
         integrate: The function that integrates the flow.
-        through: Integrates the flow through all stops of the plan at once; None if the engine
-            cannot do this.
         record: Record of the run in a checkpoint, from which it continues; or None.
         thinned: Whether segments do not store their step ends. Then events are searched for while
             the steps are integrated.
@@ -318,9 +490,6 @@ def follow(
     Raises:
         IntegrationError: The integration failed.
     """
-    varies = bool(plan.acting.driven) and len(plan.stops) > 1
-    if through is not None:
-        return Motion(flow, through(), varies=varies)
     t, y, parameters = 0.0, flow.y0, flow.parameters.copy()
     numbers = parameters[flow.numbers_at]
     if len(plan.stops) == 1 and record is None and not plan.is_observed:
@@ -355,5 +524,25 @@ def follow(
             t, part = part.end, None
             if t != plan.stops[-1]:
                 y = segment.at(np.array([t]))[0]
-    varies = bool(plan.acting.driven) and len(segments) > 1
+    varies = bool(plan.driven) and len(segments) > 1
     return Motion(flow, segments, varies=varies, actions=control.calls, watch=watch)
+
+
+class Solver(NamedTuple):
+    """What an engine does with a plan.
+
+    Attributes:
+        method: Name of its method.
+        degree: Degree of the method's dense output within a step.
+        flow: Function that returns the flow of a plan from its initial state.
+        integrator: Function from a flow, its plan, `progress` and the number of steps after which
+            `watch` is first called, to the function that integrates the flow.
+        motion: Function from a flow, its plan, `progress` and a record in a checkpoint, to the
+            function that integrates the plan of a scene without joint stops.
+    """
+
+    method: str
+    degree: int
+    flow: Callable[[Plan], Any]
+    integrator: Callable[[Any, Plan, Progress | None, int | None], Integrate]
+    motion: Callable[[Any, Plan, Progress | None, RunRecord | None], Callable[[], Motion]]

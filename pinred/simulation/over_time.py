@@ -6,44 +6,42 @@ The formats of files are .npz, .csv, HDF5 (.h5), .zarr, and keyframes of MuJoCo 
 from __future__ import annotations
 
 import json
+import numpy as np
 from abc import abstractmethod
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
-
-import numpy as np
-
+from typing import Any
+from typing import BinaryIO
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import LoadError
-from ..common.files import check_path, write_atomic
-from ..common.installation import install_command, optional_package
+from ..common.files import check_path
+from ..common.files import write_atomic
+from ..common.installation import install_command
+from ..common.installation import optional_package
 from ..common.names import quoted_path
-from ..common.zarr_folders import (
-    create_array,
-    create_group,
-    import_zarr,
-    open_group,
-    replace_folder,
-)
+from ..common.zarr_folders import create_array
+from ..common.zarr_folders import create_group
+from ..common.zarr_folders import import_zarr
+from ..common.zarr_folders import open_group
+from ..common.zarr_folders import replace_folder
 from ..system.body_parameters import name_in_files
 from ..system.locked_joints import LockValue
 from ..system.model_parameters import GRAVITY
 from ..system.robot_file_contents import Origin
-from ..system.state_fields import (
-    FIELDS,
-    State,
-    StateArrays,
-    arrays_of,
-    axis_labels,
-    column_names,
-    dimension,
-    field_attributes,
-    with_base,
-)
-from ..system.system import System, nominal
-from .impacts import ImpactTable, impact_arrays
-
+from ..system.state_fields import FIELDS
+from ..system.state_fields import State
+from ..system.state_fields import StateArrays
+from ..system.state_fields import arrays_of
+from ..system.state_fields import axis_labels
+from ..system.state_fields import column_names
+from ..system.state_fields import dimension
+from ..system.state_fields import field_attributes
+from ..system.state_fields import with_base
+from ..system.system import System
+from ..system.system import nominal
+from .impacts import ImpactTable
+from .impacts import impact_arrays
 
 @checks_arguments
 class OverTime(StateArrays):
@@ -179,9 +177,9 @@ def _write_npz(traj: OverTime, file: BinaryIO) -> None:
 def _write_keyframes(traj: OverTime, file: BinaryIO) -> None:
     from ..system.mjcf.keyframe_export import write_keyframes
 
-    out = traj.states
-    rows = zip(out.t.tolist(), out.pose, out.x, out.xi, out.xdot, strict=True)
-    file.write(write_keyframes(traj.system, rows).encode())
+    states = traj.states
+    keyframes = zip(states.t.tolist(), states.pose, states.x, states.xi, states.xdot, strict=True)
+    file.write(write_keyframes(traj.system, keyframes).encode())
 
 
 def _arrays(traj: OverTime) -> dict[str, Any]:
@@ -225,14 +223,14 @@ def _derivation_array(origin: Origin | None) -> dict[str, Any]:
     """Return how a system was made from others, as an array with one JSON text."""
     if origin is None or origin.derivation is None:
         return {}
-    made = origin.derivation
+    source = origin.derivation
     systems = []
-    for system in made.systems:
+    for system in source.systems:
         entries = {name: value.tolist() for name, value in robot_arrays(system).items()}
         if system.origin is not None and system.origin.text is not None:
             entries["text"] = system.origin.text
         systems.append(entries)
-    recipe = {"function": made.function, "arguments": dict(made.arguments), "systems": systems}
+    recipe = {"function": source.function, "arguments": dict(source.arguments), "systems": systems}
     return {"derivation": np.array(json.dumps(recipe, ensure_ascii=False))}
 
 
@@ -325,8 +323,8 @@ def _write_hdf5(traj: OverTime, file: BinaryIO) -> None:
     with h5py.File(buffer, "w") as root:
         for name in arrays.keys() - stored.keys():
             if name.startswith("impact_"):  # attributes hold 64 kB at most
-                kind = h5py.string_dtype() if arrays[name].dtype.kind == "U" else float
-                root.create_dataset(name, data=arrays[name].tolist(), dtype=kind)
+                dtype = h5py.string_dtype() if arrays[name].dtype.kind == "U" else float
+                root.create_dataset(name, data=arrays[name].tolist(), dtype=dtype)
             else:
                 root.attrs[name] = arrays[name].tolist()
         for name, array in stored.items():

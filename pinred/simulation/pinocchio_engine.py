@@ -10,32 +10,48 @@ The compiled engine has the same equations in kernels/reduced_graph.py.
 
 from __future__ import annotations
 
+import numpy as np
 from collections.abc import Callable
 from copy import copy
-
-import numpy as np
-from scipy.integrate import DOP853, DenseOutput, OdeSolution
-
+from scipy.integrate import DOP853
+from scipy.integrate import DenseOutput
+from scipy.integrate import OdeSolution
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
 from ..common.waiting import Progress
-from ..forces.force_numbers import BaseInSpace, ForceInputs
+from ..forces.force_numbers import BaseInSpace
+from ..forces.force_numbers import ForceInputs
 from ..forces.switch_times import time_within
 from ..integrators.methods import DOP853_LEAST
 from ..integrators.solution import RunKeeper
-from ..lie.rotations import apply, rotation, unit
-from ..reduction.base_parts import base_parts, into_body, quaternion_rate, root_of
-from ..reduction.canonical_form import CanonicalForm, lost_inertia
+from ..lie.rotations import apply
+from ..lie.rotations import rotation
+from ..lie.rotations import unit
+from ..reduction.base_parts import base_parts
+from ..reduction.base_parts import into_body
+from ..reduction.base_parts import quaternion_rate
+from ..reduction.base_parts import root_of
+from ..reduction.canonical_form import CanonicalForm
+from ..reduction.canonical_form import lost_inertia
 from ..reduction.pointwise_reduction import symmetric
 from ..reduction.potential import shape_gravity
 from ..scene.initial_state import Start
 from ..system.loops.kinematics import on_surfaces
-from ..system.loops.loop import BallSurface, quaternion_parts
-from ..system.state_fields import ShapeState, State
+from ..system.loops.loop import BallSurface
+from ..system.loops.loop import quaternion_parts
+from ..system.state_fields import ShapeState
+from ..system.state_fields import State
 from .plan import Plan
-from .reduced_flow import Integrate, Sample, Segment, entry_name, map_samples
-from .trajectory import Again, Trajectory, integrate_plan
-
+from .reduced_flow import Integrate
+from .reduced_flow import Sample
+from .reduced_flow import Segment
+from .reduced_flow import entry_name
+from .reduced_flow import map_samples
+from functools import partial
+from .checkpoint import RunRecord
+from .motion import Motion
+from .motion import Solver
+from .motion import follow
 
 class Base:
     """The base of one scene: its integrated variables b, and its motion.
@@ -52,20 +68,20 @@ class Base:
 
     def __init__(self, plan: Plan, start: Start) -> None:
         """Set up the base for a plan and its initial state."""
-        system, weight, wrench = plan.system, plan.acting.weight, plan.acting.wrench
+        system, weight, wrench = plan.system, plan.weight, plan.wrench
         group, root = system.group, root_of(system)
         k = self._k = group.linear
         self._group, self._mass, self.turns = group, system.mass, group.turns
         self.axes, self._g, self._weight = root.axes, root.g, weight
         self._lift = float(root.origin @ root.axes @ root.g)
         self._pivot = float(weight @ root.origin)
-        heavy = plan.acting.turned
+        heavy = plan.turned
         attitude, c, P = start.pose[k:], start.com @ root.axes, start.mu[:k]
         about = group.about(start.com, start.mu)
         self.parts = base_parts(
             group, wanted=plan.wanted, heavy=heavy, wrench=wrench, zero_momentum=not about.any()
         )
-        self.has_momentum = plan.acting.momentum_changes or bool(about.any())
+        self.has_momentum = plan.momentum_changes or bool(about.any())
         self._c0 = start.pose[:k] + group.turned(attitude, c)
         self._v0 = group.turned(attitude, P / system.mass)
         self.spin = self._fixed(attitude, about)[: self.parts.spin]
@@ -83,9 +99,9 @@ class Base:
         attitude, _, momentum, _ = self.parts.split(b)
         if self.parts.spin:
             momentum = _into_body(attitude, self.spin) if self.parts.spin == 3 else self.spin
-        out = self._none.copy()
-        out[self._k :] = momentum
-        return out
+        body_momentum = self._none.copy()
+        body_momentum[self._k :] = momentum
+        return body_momentum
 
     def body_weight(self, b: Array) -> Array:
         """Return gravity's force (3,) [N] in the body frame if gravity rotates the base, else 0."""
@@ -122,8 +138,8 @@ class Base:
         elif self.parts.momentum:
             rates.append(moment)
         if self.parts.push:
-            turned = self._group.turned(self._normal(attitude), force)
-            rates += [push[self._k :] / self._mass, turned]
+            in_space = self._group.turned(self._normal(attitude), force)
+            rates += [push[self._k :] / self._mass, in_space]
         return np.concatenate(rates) if rates else np.empty(0)
 
     def pose(self, b: Array, com: Array, t: Array) -> Array:
@@ -229,11 +245,11 @@ class PinocchioFlow:
         self.system, self._wanted = system, plan.wanted
         self.forces = forces = plan.forces
         self._seen = forces is not None and (forces.sees_attitude or forces.sees_place)
-        space, self._driven = system.space, list(plan.acting.driven)
+        space, self._driven = system.space, list(plan.driven)
         self._ball_joints = [j for j in space.balls if j.v.start not in self._driven]
         self._balls = [k for j in self._ball_joints for k in range(j.v.start, j.v.stop)]
         self._balls_x = [k for j in self._ball_joints for k in range(j.x.start, j.x.stop)]
-        self._free = [k for k in plan.acting.free if k not in self._balls]
+        self._free = [k for k in plan.free if k not in self._balls]
         self._driven_x = space.coordinates_of_joints(self._driven)
         self._free_x = space.coordinates_of(self._free)
         self._balls_at = 2 * len(self._free)
@@ -243,7 +259,7 @@ class PinocchioFlow:
                 self._surfaces.setdefault(loop.ball, []).append(loop)
         first = self._balls_at + 7 * len(self._ball_joints)
         self._potential = shape_gravity(system)
-        self._weight = plan.acting.weight
+        self._weight = plan.weight
         self._form = CanonicalForm(system, self._potential)
         self.parameters, self.numbers_at = plan.numbers, slice(None)
         self.clock = slice(0)
@@ -319,8 +335,8 @@ class PinocchioFlow:
 
     def rates(self, t: Array, y: Array, numbers: Array) -> Array:
         """Return dy/dt (T, k) at times t (T,) of reduced states y (T, k)."""
-        rows = zip(t.tolist(), y, strict=True)
-        return np.array([self.rate(time, row, numbers) for time, row in rows]).reshape(y.shape)
+        pairs = zip(t.tolist(), y, strict=True)
+        return np.array([self.rate(time, y_t, numbers) for time, y_t in pairs]).reshape(y.shape)
 
     def rate(self, t: float, y: Array, numbers: Array | None = None) -> Array:
         """Return dy/dt, (k,), with force parameters (p,); None for the initial parameters."""
@@ -363,7 +379,7 @@ class PinocchioFlow:
 
     def samples(self, t: Array, y: Array, numbers: Array) -> Sample:
         """Return the states at times (T,) that forces depend on, from reduced states (T, k)."""
-        samples = [self.sample(time, row, numbers) for time, row in zip(t.tolist(), y, strict=True)]
+        samples = [self.sample(time, y_t, numbers) for time, y_t in zip(t.tolist(), y, strict=True)]
         return map_samples(np.array, samples)
 
     def _in_space(self, t: float, b: Array, x: Array, v: Array, com: Array) -> BaseInSpace:
@@ -477,8 +493,8 @@ class PinocchioFlow:
                 rates.append(quaternion_rate(q, xdot[joint.v]))
                 continue
             turn = quaternion_rate(on_surfaces(surfaces, q), xdot[joint.v])
-            parts = [each for each in quaternion_parts(surfaces) if np.trace(each[0]) > 1.5]
-            scaled = [np.linalg.norm(P @ q) / radius * (P @ turn) for P, radius in parts]
+            projections = [p for p in quaternion_parts(surfaces) if np.trace(p[0]) > 1.5]
+            scaled = [np.linalg.norm(P @ q) / radius * (P @ turn) for P, radius in projections]
             rates.append(np.sum(scaled, axis=0))
         return rates
 
@@ -492,7 +508,10 @@ DEGREE = 7  # of the dense output of DOP853 within a step
 
 
 def integrator(
-    flow: PinocchioFlow, plan: Plan, progress: Callable[[float], None] | None
+    flow: PinocchioFlow,
+    plan: Plan,
+    progress: Progress | None,
+    _chunk: int | None = None,
 ) -> Integrate:
     """Return the function that integrates a flow from one time of its plan to another.
 
@@ -500,6 +519,7 @@ def integrator(
         flow: The flow of the plan.
         plan: The plan.
         progress: Called after each step with the completed fraction of the time, 0 to 1.
+        _chunk: Not used: `watch` is called after each step.
     Returns:
         The function; its IntegrationError states the time and the entry of the reduced state.
     """
@@ -571,18 +591,13 @@ def integrator(
     return run
 
 
-def run_pinocchio(plan: Plan, progress: Progress | None, again: Again) -> Trajectory:
-    """Return the trajectory of a plan, integrated with SciPy's DOP853.
+def _motion(
+    flow: PinocchioFlow,
+    plan: Plan,
+    progress: Progress | None,
+    _record: RunRecord | None,
+) -> Callable[[], Motion]:
+    return partial(follow, plan, flow, integrator(flow, plan, progress))
 
-    Args:
-        plan: The plan.
-        progress: Called repeatedly with the completed fraction of the time, 0 to 1.
-        again: Function that simulates the scene again; see Trajectory.
-    Returns:
-        The trajectory.
-    Raises:
-        IntegrationError: The integrator cannot continue.
-    """
-    flow = PinocchioFlow(plan)
-    integrate = integrator(flow, plan, progress)
-    return integrate_plan(plan, flow, integrate, "pinocchio", "DOP853", again)
+
+SOLVER = Solver("DOP853", DEGREE, PinocchioFlow, integrator, _motion)

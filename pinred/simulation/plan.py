@@ -4,39 +4,65 @@ A plan is built once for a scene and used everywhere.  It does not determine whe
 momentum of the base is zero, because that depends on the initial state, in which the members of one
 plan may differ.  `Plan.structure` returns the structure of
 the equations in either case.
+
+Members that share a plan form a Group, with the initial states and parameters in which they differ.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import Any
-
 import numpy as np
-
-from ..common.arrays import Array, read_only
+from dataclasses import dataclass
+from dataclasses import replace
+from functools import cached_property
+from functools import partial
+from typing import Any
+from ..common.arrays import Array
+from ..common.arrays import read_only
 from ..common.errors import SymmetryError
 from ..common.memo import once
-from ..forces.force_model import ForceModel, touched_by
+from ..forces.force_model import ForceModel
+from ..forces.force_model import touched_by
 from ..forces.force_numbers import SpanNumbers
 from ..forces.switch_times import ROUND_OFF
-from ..integrators.methods import EqualSteps, ErrorControl, Method
-from ..kernels.kernel import Layout, Structure, layout_of
-from ..reduction.cyclic_joints import (
-    SymmetricBall,
-    always_symmetric,
-    axial_among,
-    cyclic_of,
-    rotors_among,
-    symmetric_balls_of,
-)
-from ..reduction.potential import acting_gravity, pivot_weight
-from ..reduction.tree.free_bodies import NOTHING, Freed, freed_of
+from ..integrators.methods import EqualSteps
+from ..integrators.methods import ErrorControl
+from ..integrators.methods import Method
+from ..kernels.kernel import Layout
+from ..kernels.kernel import Structure
+from ..kernels.kernel import layout_of
+from ..reduction.cyclic_joints import SymmetricBall
+from ..reduction.cyclic_joints import always_symmetric
+from ..reduction.cyclic_joints import axial_among
+from ..reduction.cyclic_joints import cyclic_of
+from ..reduction.cyclic_joints import rotors_among
+from ..reduction.cyclic_joints import symmetric_balls_of
+from ..reduction.potential import acting_gravity
+from ..reduction.potential import pivot_weight
+from ..reduction.tree.free_bodies import NOTHING
+from ..reduction.tree.free_bodies import Freed
+from ..reduction.tree.free_bodies import freed_of
 from ..scene.scene import Scene
-from ..system.model_parameters import ModelParameters
 from ..system.system import System
-from .choose_method import Choice, choose
+from .choose_method import Choice
+from .choose_method import choose
 from .step_limits import step_limits
+from collections.abc import Callable
+from collections.abc import Hashable
+from collections.abc import Sequence
+from ..common.errors import InputError
+from ..common.names import brief
+from ..forces.force_numbers import tables_of_runs
+from ..integrators.methods import DOP853_LEAST
+from ..integrators.methods import AdaptiveGauss
+from ..integrators.methods import Radau
+from ..reduction.potential import falling
+from ..reduction.tree.free_bodies import free_numbers
+from ..scene.initial_state import GivenStates
+from ..system.coordinates import Indices
+from ..system.system import nominal
+from .choose_method import LANES_GAIN
+from .choose_method import RADAU_GAIN
+from .choose_method import radau_gain
 
 _NONE = read_only(np.empty(0))
 # Error of the integrals of functions of time by equal steps that is reported, relative to their
@@ -65,7 +91,7 @@ class MemberParameters:
     def __getitem__(self, members: Any) -> MemberParameters:
         """Return the parameters of the selected member or members."""
         columns: Any = vars(self).values()
-        return MemberParameters(*(None if rows is None else rows[members] for rows in columns))
+        return MemberParameters(*(None if a is None else a[members] for a in columns))
 
 
 NO_DIFFERENCES = MemberParameters()
@@ -89,12 +115,13 @@ class Span:
 
 
 @dataclass(frozen=True, eq=False)
-class Acting:
-    """Properties of a system with its forces, shared by several scenes; arrays are read-only.
+class Plan:
+    """All quantities of a scene that are computed before integration; arrays are read-only.
 
     Attributes:
-        system: The system.
-        forces: Forces besides gravity and prescribed joints; None if there are none.
+        scene: The scene.
+        stops: Times at which integration stops, with the end of the scene as last, (S,) [s].
+        numbers: Initial force parameters, (p,).
         weight: Gravity force m g in the root joint's fixed frame if it rotates a pivoted base, else
             zero, (3,) [N].
         gravity: The part of gravity that acts on the shape or rotates the base, in that frame,
@@ -104,10 +131,12 @@ class Acting:
         symmetric_balls: Balls whose momentum about an axis of symmetry is constant.
         driven: Indices of the prescribed joints.
         free: Indices of all other joints.
+        longest: Longest step of methods with step control [s].
     """
 
-    system: System
-    forces: ForceModel | None
+    scene: Scene
+    stops: Array
+    numbers: Array
     weight: Array
     gravity: Array
     momentum_changes: bool
@@ -115,6 +144,17 @@ class Acting:
     symmetric_balls: tuple[SymmetricBall, ...]
     driven: tuple[int, ...]
     free: tuple[int, ...]
+    longest: float = np.inf
+
+    @property
+    def system(self) -> System:
+        """The system of the scene."""
+        return self.scene.system
+
+    @cached_property
+    def forces(self) -> ForceModel | None:
+        """Forces besides gravity and prescribed joints; None if there are none."""
+        return self.scene.force_model
 
     @property
     def wrench(self) -> bool:
@@ -125,35 +165,6 @@ class Acting:
     def turned(self) -> bool:
         """Whether gravity rotates a pivoted base."""
         return bool(self.weight.any())
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """All quantities of a scene that are computed before integration; arrays are read-only.
-
-    Attributes:
-        scene: The scene.
-        acting: Properties of the scene's system and forces.
-        stops: Times at which integration stops, with the end of the scene as last, (S,) [s].
-        numbers: Initial force parameters, (p,).
-        longest: Longest step of methods with step control [s].
-    """
-
-    scene: Scene
-    acting: Acting
-    stops: Array
-    numbers: Array
-    longest: float = np.inf
-
-    @property
-    def system(self) -> System:
-        """The system of the scene."""
-        return self.scene.system
-
-    @property
-    def forces(self) -> ForceModel | None:
-        """Forces besides gravity and prescribed joints; None if there are none."""
-        return self.acting.forces
 
     @property
     def wanted(self) -> bool:
@@ -198,9 +209,8 @@ class Plan:
     @cached_property
     def choice(self) -> Choice:
         """The method of the compiled engine, with the reason for it."""
-        shared, acting = self.scene.shared, self.acting
-        changes = acting.momentum_changes
-        make = partial(choose, self.scene, self.stops, acting.cyclic, momentum_changes=changes)
+        shared, changes = self.scene.shared, self.momentum_changes
+        make = partial(choose, self.scene, self.stops, self.cyclic, momentum_changes=changes)
         is_first = self.stops is vars(once(shared, Plan, lambda: self))["stops"]
         return once(shared, Choice, make) if is_first else make()
 
@@ -234,11 +244,6 @@ class Plan:
     def is_observed(self) -> bool:
         """Whether controllers or events observe the run."""
         return bool(self.scene.events_given or (self.forces is not None and self.forces.held))
-
-    @cached_property
-    def passes_stops(self) -> bool:
-        """Whether there are several stops, without controllers or events between them."""
-        return len(self.stops) > 1 and not self.is_observed
 
     @cached_property
     def has_time_functions(self) -> bool:
@@ -297,37 +302,34 @@ class Plan:
         Returns:
             The structure.
         """
-        acting, varied = self.acting, self.scene.varied
-        zero = zero_momentum and not acting.momentum_changes
+        varied = self.scene.varied
+        zero = zero_momentum and not self.momentum_changes
         # With symplectic methods, a quaternion is integrated to rotate the constant angular
         # momentum into the body frame.
-        constant = self.system.group.turns == 3 and not (zero or acting.momentum_changes)
+        constant = self.system.group.turns == 3 and not (zero or self.momentum_changes)
         lifted = self.method.symplectic and constant
         lifted_balls = self.method.symplectic and bool(self.system.space.balls)
         any_gravity = generic and varied is not None and varied.gravity_name() == "gravity"
-        freed = self.freed(generic=generic)
+        variables = self.freed(generic=generic)
         # Lifted balls have conjugate momenta, none of which is constant.
-        symmetric = () if lifted_balls or all_momenta else acting.symmetric_balls
+        symmetric = () if lifted_balls or all_momenta else self.symmetric_balls
 
         def make() -> Structure:
-            axes = tuple(np.flatnonzero(acting.gravity).tolist())
+            axes = tuple(np.flatnonzero(self.gravity).tolist())
             return Structure(
                 zero_momentum=zero,
-                cyclic=acting.cyclic,
+                cyclic=self.cyclic,
                 rotors=rotors_among(symmetric),
                 axial=axial_among(symmetric),
                 gravity=(0, 1, 2) if axes and any_gravity else axes,
                 base=self.wanted,
                 lifted=lifted,
                 lifted_balls=lifted_balls,
-                freed=freed,
+                freed=variables,
             )
 
-        return once(
-            acting,
-            (Structure, zero, self.wanted, lifted, lifted_balls, freed, any_gravity, all_momenta),
-            make,
-        )
+        key = zero, self.wanted, lifted, lifted_balls, variables, any_gravity, all_momenta
+        return once(*_owner(self.scene, Structure, *key), make)
 
     def layout(self, *, zero_momentum: bool, generic: bool = False) -> Layout:
         """Return the indices of integrated variables and of parameters, cached; see `structure`."""
@@ -344,6 +346,30 @@ class Plan:
         return freed_of(self.system, *bodies, links, generic=generic)
 
 
+def refuse_with_stops(plan: Plan, *, checkpoint: bool) -> None:
+    """Reject options of a simulation that do not act together with joint stops.
+
+    Args:
+        plan: The plan of a scene; one without stops passes.
+        checkpoint: Whether a checkpoint is written.
+    Raises:
+        InputError: An option does not act together with stops; the message has the remedy.
+    """
+    if not plan.scene.bounds:
+        return
+    method = plan.method
+    if not isinstance(method, ErrorControl) or method.symplectic:
+        raise InputError(
+            f"stops: expected none with method {method.name}, whose steps do not end at impacts. "
+            "Use DOP853, Tsit5, Radau or auto, or omit stops"
+        )
+    if checkpoint and plan.forces is not None and plan.forces.held:
+        raise InputError(
+            "checkpoint: expected no controllers in a scene with stops, because the impacts are "
+            "repeated from the start. Omit checkpoint, or use forces instead of controllers"
+        )
+
+
 def spans_between(stops: Array, reports: Array) -> list[Span]:
     """Return the spans between stops; a report time at a stop belongs to the span before it.
 
@@ -356,8 +382,8 @@ def spans_between(stops: Array, reports: Array) -> list[Span]:
     spans, first, start = [], 0, 0.0
     for stop in stops.tolist():
         last = int(np.searchsorted(reports, stop, side="right"))
-        rows = slice(first, last)
-        spans.append(Span(start, stop, rows, read_only(reports[rows] - start)))
+        indices = slice(first, last)
+        spans.append(Span(start, stop, indices, read_only(reports[indices] - start)))
         first, start = last, stop
     return spans
 
@@ -398,13 +424,10 @@ def plan_of(scene: Scene) -> Plan:
     """
 
     def make() -> Plan:
-        system, forces, varied = scene.system, scene.force_model, scene.varied
-        # Scenes of one force model, which belongs to one system, share these properties.
-        owner = system if forces is None else forces
-        key = (Acting, *(varied.names if varied is not None else ()))
-        acting = once(owner, key, lambda: _acting(system, forces, varied))
+        forces = scene.force_model
+        symmetries = once(*_owner(scene, _find_symmetries), lambda: _find_symmetries(scene))
         numbers = _NONE if forces is None else read_only(forces.numbers_from(0.0, scene.end))
-        return Plan(scene, acting, read_only(stops_of(scene)), numbers)
+        return Plan(scene, read_only(stops_of(scene)), numbers, **symmetries)
 
     # The plan refers to its scene, so a scene that kept its plan would not be freed at once.
     first = once(scene.shared, Plan, make)
@@ -415,7 +438,16 @@ def plan_of(scene: Scene) -> Plan:
     return plan
 
 
-def _acting(system: System, forces: ForceModel | None, varied: ModelParameters | None) -> Acting:
+def _owner(scene: Scene, *key: Hashable) -> tuple[object, Hashable]:
+    """Return the owner of what scenes with one force model and variable parameters share; a key."""
+    # A force model belongs to one system.
+    owner = scene.system if scene.force_model is None else scene.force_model
+    return owner, (*key, None if scene.varied is None else scene.varied.names)
+
+
+def _find_symmetries(scene: Scene) -> dict[str, Any]:
+    """Return the fields of a plan that follow from the system, its forces and its parameters."""
+    system, forces, varied = scene.system, scene.force_model, scene.varied
     weight, gravity = pivot_weight(system), acting_gravity(system)
     weighed = forces is not None and forces.weighed
     driven = forces.joints if forces is not None else ()
@@ -437,14 +469,156 @@ def _acting(system: System, forces: ForceModel | None, varied: ModelParameters |
             f"gravity rotates the base of '{system.name}', so its accelerations depend on more "
             "than shape and momentum; use PD control, or gravity=(0, 0, 0)"
         )
-    return Acting(
-        system=system,
-        forces=forces,
-        weight=weight,
-        gravity=gravity,
-        momentum_changes=bool(weight.any()) or pushed,
-        cyclic=cyclic,
-        symmetric_balls=balls,
-        driven=driven,
-        free=tuple(k for k in range(system.m) if k not in driven),
-    )
+    return {
+        "weight": weight,
+        "gravity": gravity,
+        "momentum_changes": bool(weight.any()) or pushed,
+        "cyclic": cyclic,
+        "symmetric_balls": balls,
+        "driven": driven,
+        "free": tuple(k for k in range(system.m) if k not in driven),
+    }
+
+
+@dataclass(frozen=True)
+class Group:
+    """Members that share a plan.
+
+    Attributes:
+        members: Sorted indices of the members, (N,).
+        plan: Plan that the members share.
+        given: Initial states of the members, (N, …).
+        own: Parameters in which the members differ from the plan.
+    """
+
+    members: Indices
+    plan: Plan
+    given: GivenStates
+    own: MemberParameters = NO_DIFFERENCES
+
+    @property
+    def one_by_one(self) -> str:
+        """The reason to simulate these members one by one; "" if they can run together."""
+        plan = self.plan
+        if plan.scene.events_given:
+            return "events are detected"
+        if plan.scene.bounds:
+            return "joints come to rest at their stops at different times"
+        if plan.forces is not None and plan.forces.held:
+            controller, _ = plan.forces.held[0]
+            return f"{controller.name} is called every {controller.period:g} s"
+        if (len(plan.stops) > 1 or plan.stops_vary) and plan.driven:
+            return f"a plan of a joint is not smooth at t = {plan.stops[0]:g} s"
+        return ""
+
+
+@dataclass(frozen=True)
+class Members:
+    """All members of a call of simulate_many.
+
+    Attributes:
+        count: Number of members.
+        groups: Groups of members that share a plan.
+        scene_of: Function that returns the scene of a member, given its index.
+    """
+
+    count: int
+    groups: Sequence[Group]
+    scene_of: Callable[[int], Scene]
+
+
+def members_plan(scene: Scene) -> Plan:
+    """Return the plan of a scene for the integration of many members.
+
+    If the scene does not select a method, DOP853 replaces AdaptiveGauss, and Radau unless DOP853
+    costs more even in lanes.  DOP853 integrates one member in each SIMD lane, but AdaptiveGauss
+    uses the lanes for its stages, and Radau does not use them.  Members with stops do not run in
+    lanes, so they have the method of `simulate`.
+    """
+    plan = plan_of(scene)
+    if scene.method != "auto" or scene.tolerance[0] < DOP853_LEAST or scene.bounds:
+        return plan
+    in_lanes = isinstance(plan.method, AdaptiveGauss)
+    if isinstance(plan.method, Radau):
+        in_lanes = radau_gain(scene) < LANES_GAIN * RADAU_GAIN
+    return plan_of(replace(scene, method="DOP853")) if in_lanes else plan
+
+
+def of_scenes(scenes: Sequence[Scene]) -> Members:
+    """Return members given as scenes of one system with equal report times.
+
+    Args:
+        scenes: The scenes.
+    Returns:
+        The members.
+    Raises:
+        InputError: An entry is not a Scene, or the scenes differ in system or report times.
+    """
+    for k, scene in enumerate(scenes):
+        if not isinstance(scene, Scene):
+            raise InputError(
+                f"simulate_many takes Scenes in a list, but entry {k} is {brief(scene)}"
+            )
+    first = scenes[0]
+    plans = [members_plan(scene) for scene in scenes]
+    sets: dict[Hashable, list[int]] = {}
+    for k, (scene, plan) in enumerate(zip(scenes, plans, strict=True)):
+        if nominal(scene.system) is not nominal(first.system):
+            raise InputError(
+                f"the Scenes of simulate_many must be of one System, but that of entry {k} is "
+                "another; load a robot once and use it in all"
+            )
+        if not (scene.end == first.end and np.array_equal(scene.report_times, first.report_times)):
+            raise InputError(
+                f"the Scenes of simulate_many must report at the same times, but entry {k} goes to "
+                f"{scene.end:g} s with {len(scene.report_times)} reports, entry 0 to "
+                f"{first.end:g} s with {len(first.report_times)}; give them times="
+            )
+        if scene.outputs != first.outputs:
+            raise InputError(
+                f"the Scenes of simulate_many must have the same outputs, but entry {k} has "
+                f"'{scene.outputs}', entry 0 '{first.outputs}'"
+            )
+        sets.setdefault(_structure(plan), []).append(k)
+    groups = [_group(np.array(indices), [plans[k] for k in indices]) for indices in sets.values()]
+    return Members(len(scenes), groups, [plan.scene for plan in plans].__getitem__)
+
+
+def _structure(plan: Plan) -> Hashable:
+    """Return a key that is equal for scenes that share a kernel, a method and stops."""
+    forces, states = plan.forces, plan.scene.given
+    varied = plan.scene.varied
+    robot = None if varied is None else (varied.names, plan.gravity.astype(bool).tobytes())
+    stops = plan.stops
+    if plan.stops_vary and forces is not None:  # members stop at their own switches
+        stops = forces.tables.breaks
+    stop_key: Hashable = (stops.tobytes(), robot)
+    if forces is not None and forces.held:
+        stop_key = id(plan)  # Controllers have states, so each member has its own.
+    # Members with events or joint stops are simulated one by one.
+    alone = bool(plan.scene.events_given), bool(plan.scene.bounds)
+    return None if forces is None else forces.key, plan.method, stop_key, states.mu is None, alone
+
+
+def _group(members: Indices, plans: Sequence[Plan]) -> Group:
+    columns: dict[str, Any] = {
+        name: None
+        if values is None
+        else np.concatenate([getattr(p.scene.given, name) for p in plans])
+        for name, values in vars(plans[0].scene.given).items()
+    }
+    parameters = MemberParameters(numbers=np.array([plan.numbers for plan in plans]))
+    if plans[0].forces is not None:
+        tables = [plan.forces.tables for plan in plans if plan.forces is not None]
+        parameters = replace(parameters, tables=tables_of_runs(tables))
+    varied = plans[0].scene.varied
+    if varied is not None:
+        variables = plans[0].freed(generic=True)
+        parameters = replace(
+            parameters, robot=np.array([free_numbers(p.system, variables) for p in plans])
+        )
+        if varied.gravity:
+            acting = np.array([plan.gravity for plan in plans])
+            fall = np.array([falling(plan.system) for plan in plans])
+            parameters = replace(parameters, gravity=acting, fall=fall)
+    return Group(members, plans[0], GivenStates(**columns), parameters)

@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+import numpy as np
+import pinocchio as pin
+from collections.abc import Callable
+from collections.abc import Collection
+from collections.abc import Iterator
+from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
-
-import numpy as np
-import pinocchio as pin
-
 from ..common.arrays import Array
-from ..common.errors import InputError, SymmetryError
+from ..common.errors import InputError
+from ..common.errors import SymmetryError
 from ..kernels.kernel import Layout
-from ..reduction.potential import acting_gravity, falling
-from ..reduction.tree.body_frames import Body, bodies_of, step_at
-from ..reduction.tree.free_bodies import (
-    frame_map,
-    link_numbers,
-    link_slopes,
-    step_of_body,
-    step_slopes,
-)
+from ..reduction.potential import acting_gravity
+from ..reduction.potential import falling
+from ..reduction.tree.body_frames import Body
+from ..reduction.tree.body_frames import bodies_of
+from ..reduction.tree.body_frames import step_at
+from ..reduction.tree.free_bodies import frame_map
+from ..reduction.tree.free_bodies import link_numbers
+from ..reduction.tree.free_bodies import link_slopes
+from ..reduction.tree.free_bodies import step_of_body
+from ..reduction.tree.free_bodies import step_slopes
 from ..scene.scene import Scene
 from ..system.model_parameters import ModelParameters
-from ..system.system import in_gravity, nominal
+from ..system.system import in_gravity
+from ..system.system import nominal
 
 Slopes = dict[str, Array]
 
@@ -136,18 +141,18 @@ class RobotColumns:
         self, now: Mapping[str, Array], changed: Collection[str]
     ) -> Iterator[tuple[slice, Array, Callable[[], Slopes]]]:
         """Yield slices of the constants, their values, and functions that return derivatives."""
-        freed = self._layout.freed
+        variables = self._layout.freed
         for i, (moments, slopes) in self._varied.inertias(now, changed).items():
-            place, frame = self._among_constants(freed.of_inertia(i)), self._maps[i]
+            place, frame = self._among_constants(variables.of_inertia(i)), self._maps[i]
             yield place, frame @ moments, partial(_map_slopes, frame, slopes)
         for i, (joint, twists) in self._varied.placements(now, changed).items():
             body, nominal_place = self._bodies[i], self._system.sorted_model.jointPlacements[i + 1]
             parent = self._bodies[body.parent]
             placed = replace(body, **step_at(parent, body, nominal_place, joint))
-            place = self._among_constants(freed.of_step(i))
+            place = self._among_constants(variables.of_step(i))
             yield place, step_of_body(placed), partial(_step_slopes, parent, placed, twists)
         for k, body, link, twists in self._links(now):
-            place = self._among_constants(freed.of_link(k))
+            place = self._among_constants(variables.of_link(k))
             yield place, link_numbers(body, link), partial(_link_slopes, body, link, twists)
 
     def _among_constants(self, place: slice) -> slice:

@@ -10,50 +10,65 @@ variables of the reduced state are copied, so not even round-off changes the spa
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
-from typing import cast
-
 import numpy as np
 import pinocchio as pin
+from collections.abc import Iterator
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import field
+from dataclasses import replace
+from functools import cached_property
+from functools import partial
+from typing import cast
 from numpy.typing import NDArray
-
-from ..common.arrays import Array, read_only
-from ..common.errors import InputError, IntegrationError
+from ..common.arrays import Array
+from ..common.arrays import read_only
+from ..common.errors import InputError
+from ..common.errors import IntegrationError
 from ..common.names import listed
 from ..common.parameter import Parameter
 from ..common.waiting import Progress
 from ..forces.switch_times import time_within
-from ..forces.tracking import ComputedTorque, ComputedTorqueAtRest
-from ..reduction.pointwise_reduction import PointwiseReduction, symmetric
+from ..forces.tracking import ComputedTorque
+from ..forces.tracking import ComputedTorqueAtRest
+from ..reduction.pointwise_reduction import PointwiseReduction
+from ..reduction.pointwise_reduction import symmetric
 from ..scene.input_formats import list_forces
-from ..scene.scene import Engine, Scene
-from ..scene.stop import Bound, place
+from ..scene.scene import Scene
+from ..scene.stop import Bound
+from ..scene.stop import place
 from ..system.coordinates import Indices
 from ..system.loops.kinematics import loop_jacobian
-from ..system.state_fields import ShapeState, State
+from ..system.state_fields import ShapeState
+from ..system.state_fields import State
 from ..system.system import System
 from .balances import driving_torques
-from .checkpoint import Checkpoint, Part
-from .closed_loops import refuse_singular_loops
+from .checkpoint import Checkpoint
+from .checkpoint import Part
 from .compiled.compiled_flow import CompiledFlow
-from .control import Control, ControlAction
-from .events import RootSearch, Watch, cut_at
-from .impacts import (
-    Impact,
-    ImpactTable,
-    bernstein,
-    first_root,
-    impulses,
-    solve_complementarity,
-    table_of,
-)
+from .events import RootSearch
+from .events import Watch
+from .events import cut_at
+from .impacts import Impact
+from .impacts import ImpactTable
+from .impacts import bernstein
+from .impacts import first_root
+from .impacts import impulses
+from .impacts import solve_complementarity
+from .impacts import table_of
 from .motion import Motion
-from .plan import Plan, plan_of
-from .reduced_flow import Integrate, ModeFlow, ReducedFlow, Sample, Segment
-from .stop_engines import StopEngine, refuse_undefined
-from .trajectory import Again, Cost, Trajectory, trajectory_of_motion
+from .plan import Plan
+from .plan import plan_of
+from .reduced_flow import Integrate
+from .reduced_flow import ModeFlow
+from .reduced_flow import ReducedFlow
+from .reduced_flow import Sample
+from .reduced_flow import Segment
+from collections.abc import Iterable
+from ..scene.stop import BallBound
+from .motion import Control
+from .motion import ControlAction
+from .motion import Solver
 
 _ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # of a position, relative
 _LEAST_GAP = 1e-18  # Smallest margin of a gap, for stops at zero [rad | m].
@@ -62,6 +77,7 @@ _AT_REST = 1e-13  # Rate at a stop that counts as zero, relative to the largest 
 _SLOW = 1e-3  # Rebound above which round-off of a position cannot sustain it [rad/s | m/s].
 _DEPENDENT = 1e-9  # Eigenvalue of scaled metrics below which motions of joints are dependent.
 _MOST_AT_ONCE = 100  # Largest number of successive impacts without time between them.
+_CHUNK = 8  # Number of steps after which stops are first looked for.
 MOST_IMPACTS = 100_000  # Largest number of impacts of one run.
 
 Rest = tuple[Bound, ...]
@@ -125,6 +141,7 @@ class StoppedMotion(Motion):
         before: ModeFlow,
         watch: Watch | None,
         actions: Sequence[ControlAction],
+        building: float,
     ) -> None:
         """Store a motion.
 
@@ -133,7 +150,9 @@ class StoppedMotion(Motion):
             before: Flow from the initial state, before an impact at the start.
             watch: Detection of events.
             actions: Calls of the controllers.
+            building: Wall time for kernels of modes [s], which are built once.
         """
+        self.building = building
         segments = [segment for phase in phases for segment in phase.segments]
         super().__init__(before, segments, varies=True, actions=actions, watch=watch)
         self._phases, self._before = phases, before
@@ -200,8 +219,8 @@ class StoppedMotion(Motion):
 
     def resting(self, t: Array) -> Iterator[tuple[Rest, Indices]]:
         """Yield the stops at which joints rest; see Motion.resting."""
-        for k, rows in self._by_segment(self._which(t)):
-            yield self._of_segment[k].mode.rest, rows
+        for k, indices in self._by_segment(self._which(t)):
+            yield self._of_segment[k].mode.rest, indices
 
 
 def momentum_of(state: State | ShapeState, system: System) -> Array:
@@ -233,9 +252,9 @@ class _StopSearch(RootSearch):
             cling: Pull of a stop that counts as round-off.
         """
         bounds, at = mode.moving, flow.position_entries
-        own = [bound.surface is None and bound.v in at for bound in bounds]
-        self._polynomial = [k for k, is_own in enumerate(own) if is_own]
-        self._driven = [k for k, is_own in enumerate(own) if not is_own]
+        has_entry = [bound.surface is None and bound.v in at for bound in bounds]
+        self._polynomial = [k for k, is_own in enumerate(has_entry) if is_own]
+        self._driven = [k for k, is_own in enumerate(has_entry) if not is_own]
         count = len(self._driven) + len(mode.rest)
         super().__init__(np.ones(count), range(count))
         self._plan, self._mode, self._flow, self._numbers = plan, mode, flow, numbers
@@ -273,9 +292,9 @@ class _StopSearch(RootSearch):
         coefficients = self._bernstein @ gaps
         for step in np.flatnonzero((coefficients <= 0.0).any(axis=(1, 2))).tolist():
             for k in np.flatnonzero((coefficients[step] <= 0.0).any(axis=0)).tolist():
-                part = first_root(coefficients[step, :, k])
-                if part is not None:
-                    time = float(starts[step] + part * lengths[step])
+                fraction = first_root(coefficients[step, :, k])
+                if fraction is not None:
+                    time = float(starts[step] + fraction * lengths[step])
                     self.found.append((time, self._mode.moving[self._polynomial[k]]))
             if self.found:
                 return
@@ -310,7 +329,7 @@ def reactions_of(plan: Plan, rest: Rest, t: Array, samples: Sample, numbers: Arr
         numbers: Force parameters of the scene, (p,).
     """
     torques = driving_torques(plan, t, samples, np.tile(numbers, (len(t), 1)), rest)
-    return np.asarray(torques[:, len(plan.acting.driven) :])
+    return np.asarray(torques[:, len(plan.driven) :])
 
 
 def locked_scene(
@@ -393,31 +412,40 @@ class _Contact:
     may_rest: NDArray[np.bool_]
 
 
-class _Run:
+class RunWithStops:
     """One run with stops."""
 
     def __init__(
         self,
         plan: Plan,
         progress: Progress | None,
-        engine: StopEngine,
+        solver: Solver,
         checkpoint: Checkpoint | None,
     ) -> None:
-        self._engine = engine
+        """Prepare the run.
+
+        Args:
+            plan: The plan, whose scene has stops.
+            progress: Called repeatedly with the completed fraction of the time, 0 to 1.
+            solver: The engine.
+            checkpoint: Checkpoint that the run continues and updates; or None. All parts are
+                repeated from their saved integrations, which takes little time.
+        """
+        self._solver = solver
         self.plan, self.scene, self.bounds = plan, plan.scene, plan.scene.bounds
         self.progress, self.system = progress, plan.system
         self._free = replace(self.scene, stops=None, events=())
         free_plan = self._limited(self._free)
-        self.first = engine.start(free_plan)
-        integrate = engine.integrator(self.first, free_plan, progress)
+        self.first: ModeFlow = solver.flow(free_plan)
+        integrate = solver.integrator(self.first, free_plan, progress, _CHUNK)
         self._modes: dict[Rest, Mode] = {(): Mode((), self.bounds, self.first, integrate)}
         tree = self.system.open_tree()
         self._reduction = tree.workspace(PointwiseReduction, lambda: PointwiseReduction(tree))
         # Rates that impacts change, and the index of each rate among them.
-        self._rates = list(plan.acting.free)
-        self._impacts, self._at_once, self.building = 0, 0, 0.0
+        self._rates = list(plan.free)
+        self._impacts, self._at_once, self._building = 0, 0, 0.0
         watched = self.scene.watched
-        self.watch = None if watched is None else Watch(self.scene, self.first, watched)
+        self._watch = None if watched is None else Watch(self.scene, self.first, watched)
         # Force parameters of the scene, which controllers change.
         self._control, self._numbers = Control(self.scene), self.first.numbers.copy()
         self.record = (
@@ -436,9 +464,9 @@ class _Run:
             plan = self._limited(locked_scene(self._free, rest, x, xdot))
             flow = self.first.in_mode(plan)
             moving = tuple(b for b in self.bounds if not (b in rest or locked.issuperset(b.rates)))
-            integrate = self._engine.integrator(flow, plan, self.progress)
+            integrate = self._solver.integrator(flow, plan, self.progress, _CHUNK)
             mode = self._modes[rest] = Mode(rest, moving, flow, integrate)
-            self.building += time.perf_counter() - began
+            self._building += time.perf_counter() - began
         return mode
 
     def motion(self) -> StoppedMotion:
@@ -454,7 +482,8 @@ class _Run:
             phases.append(phase)
             state, search = self._follow(phase)
             if state.t >= end or search is None:
-                return StoppedMotion(phases, self.first, self.watch, self._control.calls)
+                calls = self._control.calls
+                return StoppedMotion(phases, self.first, self._watch, calls, self._building)
             phase = self._next(state, phase.mode, search)
 
     def _follow(self, phase: Phase) -> tuple[_State, _StopSearch | None]:
@@ -462,44 +491,44 @@ class _Run:
         flow, mode, t, y = phase.flow, phase.mode, phase.start, phase.flow.y0
         parameters = flow.parameters_between(t, self._stop_after(t))
         cling = self._cling(flow, t, y, parameters) if mode.rest else 0.0
-        if self.watch is not None:
-            self.watch.flow = flow
+        if self._watch is not None:
+            self._watch.flow = flow
         while t < self.scene.end:
             stop = self._control.begin(
                 self._numbers, t, self._stop_after(t), partial(flow.sample, t, y, parameters)
             )
-            own = read_only(self._numbers.copy())
+            numbers = read_only(self._numbers.copy())
             parameters = read_only(self._commanded(flow, t, stop))
-            search = _StopSearch(self.plan, self._engine.degree, mode, flow, own, cling)
+            search = _StopSearch(self.plan, self._solver.degree, mode, flow, numbers, cling)
             if self.record is not None:
                 self.record.repeat(Part(t, stop, read_only(y), parameters))
             segment = mode.integrate(t, stop, read_only(y), parameters, search.look, self.record)
             is_hit = search.look(segment)
             if self.record is not None and segment.end < stop:
                 self.record.interrupt()
-            parts = cut_at(search.found[0][0], segment, mode.integrate) if is_hit else [segment]
-            if not parts and segment.end == stop <= t + self.scene.rtol * self.scene.end:
-                parts, is_hit = [segment], False  # too short for a gap above round-off
-            self._at_once = 0 if parts else self._at_once + 1
+            segments = cut_at(search.found[0][0], segment, mode.integrate) if is_hit else [segment]
+            if not segments and segment.end == stop <= t + self.scene.rtol * self.scene.end:
+                segments, is_hit = [segment], False  # too short for a gap above round-off
+            self._at_once = 0 if segments else self._at_once + 1
             if self._at_once > _MOST_AT_ONCE:
                 raise IntegrationError(
                     f"stops: '{self.system.name}' cannot leave its stop at t = {t:g} s. Increase "
                     "rest_rate, or loosen the tolerances"
                 )
-            if not parts:  # A force that jumps, or another impact, acts on a joint at its stop.
+            if not segments:  # A force that jumps, or another impact, acts on a joint at its stop.
                 return _State(t, flow, y, parameters), search
-            for part in parts:
-                ended = self.watch is not None and self.watch.look(part)
-                if ended and self.watch is not None and self.watch.end is not None:
-                    t = self.watch.end.t
-                    cut = cut_at(t, part, mode.integrate)
+            for new_segment in segments:
+                ended = self._watch is not None and self._watch.look(new_segment)
+                if ended and self._watch is not None and self._watch.end is not None:
+                    t = self._watch.end.t
+                    cut = cut_at(t, new_segment, mode.integrate)
                     phase.segments.extend(cut)
-                    phase.numbers.extend([own] * len(cut))
+                    phase.numbers.extend([numbers] * len(cut))
                     return _State(t, flow, y, parameters), None
-                phase.segments.append(part)
-                phase.numbers.append(own)
-            t = parts[-1].end
-            y = np.array(parts[-1].at(np.array([t]))[0])
+                phase.segments.append(new_segment)
+                phase.numbers.append(numbers)
+            t = segments[-1].end
+            y = np.array(segments[-1].at(np.array([t]))[0])
             if is_hit:
                 return _State(t, flow, y, parameters), search
         return _State(t, flow, y, parameters), None
@@ -532,7 +561,7 @@ class _Run:
 
     def _refuse_driven(self, touching: Sequence[Bound], t: float) -> None:
         for bound in touching:
-            if {*bound.rates} & {*self.plan.acting.driven}:
+            if {*bound.rates} & {*self.plan.driven}:
                 raise InputError(
                     f"prescribed: the motion of joint '{bound.joint}' runs into its {bound.side} "
                     f"stop at t = {t:g} s. Change its motion, or omit its stop"
@@ -545,7 +574,7 @@ class _Run:
         x, xdot, pi = map(np.copy, state.values)
         among = {*rest, *touching}
         bounds = tuple(bound for bound in self.bounds if bound in among)
-        refuse_undefined(bounds, x, state.t)
+        _refuse_undefined(bounds, x, state.t)
         place(bounds, x)
         normals = np.array([b.normal(x, len(pi)) for b in bounds]).reshape(-1, len(pi))
         inverse = self._inverse_metric(x, normals[:, self._rates])
@@ -609,8 +638,8 @@ class _Run:
             if chosen.size:
                 rates = xdot.copy()
                 rates[self._rates] += inverse @ impulse
-                rest = tuple(bounds[k] for k in chosen)
-                resting[chosen], back = self._stays(state, rest, block, x, rates)
+                chosen_bounds = tuple(bounds[k] for k in chosen)
+                resting[chosen], back = self._stays(state, chosen_bounds, block, x, rates)
                 height[chosen] = rebound[chosen] ** 2 / (2.0 * np.maximum(back, 1e-300))
             leaves = slow & (rebound > slowest) & ~(resting & (height <= sustained))
             if not leaves.any():
@@ -688,7 +717,7 @@ class _Run:
             lost: Energy that the stops remove [J].
         """
         _, before, _ = state.values
-        if not before[list(self.plan.acting.driven)].any():
+        if not before[list(self.plan.driven)].any():
             return 0.0
         energies = [self._energy(x, v, self._sample(state, x, v).xi[0]) for v in (before, rates)]
         return energies[1] - energies[0] + lost
@@ -748,51 +777,35 @@ def _impact(
     t: float, contact: _Contact, impulse: Array, after: Array, lost: Array, work: float
 ) -> Impact:
     """Return the rows of an impact; other arguments are those of Impact for all stops, (K,)."""
-    rows = np.flatnonzero(impulse)
-    bounds, u = [contact.bounds[k] for k in rows.tolist()], contact.u[rows]
+    hit = np.flatnonzero(impulse)
+    bounds, u = [contact.bounds[k] for k in hit.tolist()], contact.u[hit]
     sign = np.array([bound.sign for bound in bounds])
     ratio = np.array([bound.ratio for bound in bounds])
     return Impact(
         t=t,
         joint=tuple(bound.joint for bound in bounds),
         side=tuple(bound.side for bound in bounds),
-        impulse=sign * impulse[rows] / ratio,
-        rates=np.array([sign * u, sign * after[rows]]) * ratio,
-        energy_lost=lost[rows],
+        impulse=sign * impulse[hit] / ratio,
+        rates=np.array([sign * u, sign * after[hit]]) * ratio,
+        energy_lost=lost[hit],
         work_of_drives=work,
     )
 
 
-def run_with_stops(
-    plan: Plan,
-    progress: Progress | None,
-    again: Again,
-    engine: Engine = "compiled",
-    checkpoint: Checkpoint | None = None,
-) -> Trajectory:
-    """Return the trajectory of a plan whose scene has stops.
+def _refuse_undefined(bounds: Iterable[Bound], x: Array, t: float) -> None:
+    """Reject a ball at its twist stop whose swing reaches π.
 
     Args:
-        plan: The plan.
-        progress: Called repeatedly with the completed fraction of the time, 0 to 1.
-        again: Function that simulates the scene again; see Trajectory.
-        engine: Name of the engine.
-        checkpoint: Checkpoint that the run continues and updates; or None. All parts are repeated
-            from their saved integrations, which takes little time.
-    Returns:
-        The trajectory.
+        bounds: The stops at which joints are.
+        x: Shape, (nx,) [rad | m | 1].
+        t: Time [s].
     Raises:
-        InputError: A prescribed joint runs into its stop.
-        IntegrationError: The integrator cannot continue, or there are too many impacts.
+        IntegrationError: The twist of a ball is not defined.
     """
-    with_stops = StopEngine.of(engine, plan)
-    run = _Run(plan, progress, with_stops, checkpoint)
-    started = time.perf_counter()
-    motion = run.motion()
-    refuse_singular_loops(plan.system, motion)
-    wall = time.perf_counter() - started - run.building  # kernels are built once
-    if checkpoint is not None and run.record is not None:
-        flow = cast(CompiledFlow, run.first)
-        checkpoint.close(run.record, flow, plan, cut=motion.ended_by is not None)
-    cost = Cost(engine, with_stops.method, motion.steps, motion.evaluations, wall, plan.notices)
-    return trajectory_of_motion(plan, motion, cost, again)
+    for bound in bounds:
+        if isinstance(bound, BallBound) and bound.is_undefined(x):
+            raise IntegrationError(
+                f"stops: the swing of ball joint '{bound.joint}' reaches π at t = {t:g} s, "
+                "where its twist is not defined. Bound its swing as well, such as "
+                "BallStop(twist=…, swing=3)"
+            )

@@ -1,4 +1,7 @@
-"""simulate(): integrate the reduced equations of a scene and reconstruct the base motion."""
+"""simulate(): integrate the reduced equations of a scene and reconstruct the base motion.
+
+`explain_plan` describes the terms that a simulation skips, and the numbers that it integrates.
+"""
 
 from __future__ import annotations
 
@@ -16,18 +19,22 @@ from ..common.memo import is_first, once
 from ..common.names import brief, listed
 from ..common.waiting import LongRunNotice, Progress, shown
 from ..integrators.methods import EqualSteps
+from ..kernels.state_layout import Layout
+from ..reduction.potential import falling
+from ..reduction.symmetric_balls import SymmetricBall, axial_among, rotors_among
+from ..scene.initial_state import large_angles
 from ..scene.scene import ENGINES, Engine, Scene, scene_of
 from ..scene.scene_options import SceneOptions
 from ..system.model_parameters import joined
 from ..system.system import System, checked_system, nominal
 from .compiled.code_ahead import expect_integration
 from .limit_excess import excess_notice
-from .plan import Plan, plan_of
+from .plan import Plan, plan_of, refuse_with_stops
 from .robot_columns import without_own
+from .trajectory import Trajectory, run_plan
 
 if TYPE_CHECKING:
     from .checkpoint import Checkpoint
-    from .trajectory import Trajectory
 
 _OPTIONS = Scene.__dataclass_fields__.keys() - {"system"}
 
@@ -80,9 +87,7 @@ def simulate(
         )
     plan = plan_of(scene if scene.varied is None else without_own(scene))
     if explain:
-        from .explain import explain as explained
-
-        print(explained(plan))
+        print(explain_plan(plan))
     if checkpoint is not None and engine != "compiled":
         raise InputError(
             "checkpoint: expected none with engine 'pinocchio', whose integrator is SciPy's. Use "
@@ -94,8 +99,6 @@ def simulate(
             done = _notice_of(plan.method, scene.end)
         trajectory = _simulated(plan, engine, done, check=check, checkpoint=file)
     if explain and scene.bounds:
-        from .explain import explain_modes
-
         print(explain_modes(trajectory))
     for notice in trajectory.run.notices:
         warnings.warn(notice, AccuracyWarning, stacklevel=3)
@@ -150,26 +153,11 @@ def _simulated(
 ) -> Trajectory:
     """Return the trajectory of a plan; with `check`, one whose steps skip no force."""
     again = partial(simulate, plan.scene, engine=engine, check=check)
-    run: Callable[[Plan], Trajectory]
-    if plan.scene.bounds:
-        from .run_with_stops import run_with_stops
-        from .stop_engines import refuse_with_stops
-
-        if engine == "compiled":
-            _expect_code(plan)
-        refuse_with_stops(plan, checkpoint=checkpoint is not None)
-        run = partial(
-            run_with_stops, progress=progress, again=again, engine=engine, checkpoint=checkpoint
-        )
-    elif engine == "compiled":
+    if engine == "compiled":
         _expect_code(plan)  # before the kernels are imported
-        from .compiled.integrator import run_compiled
-
-        run = partial(run_compiled, progress=progress, again=again, checkpoint=checkpoint)
-    else:
-        from .pinocchio_engine import run_pinocchio
-
-        run = partial(run_pinocchio, progress=progress, again=again)
+    if plan.scene.bounds:
+        refuse_with_stops(plan, checkpoint=checkpoint is not None)
+    run = partial(run_plan, engine=engine, progress=progress, again=again, checkpoint=checkpoint)
     resolved = partial(_resolved, run=run, engine=engine)
     if not check:
         return resolved(plan)
@@ -221,3 +209,151 @@ def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Sc
 def trajectory_of(scene: Scene) -> Trajectory:
     """Return the trajectory of a scene with the compiled engine."""
     return _simulated(plan_of(scene), "compiled")
+
+
+def explain_plan(plan: Plan) -> str:
+    """Describe the terms that the compiled engine skips, and the numbers that it integrates."""
+    zero = _has_no_momentum(plan)
+    lines = [f"skipped: {line}" for line in skipped(plan, zero_momentum=zero)]
+    lines.append(f"integrated: {integrated(plan)}")
+    lines += seen_and_integrated(plan)
+    layout = plan.layout(zero_momentum=zero)
+    balls = (ball for ball in plan.symmetric_balls if not _is_parameter(layout, ball))
+    lines += [f"constant: {ball}" for ball in balls]
+    lines += varying(plan)
+    if note := large_angles(plan.scene.given.x[0], plan.system):
+        lines.append(f"note: {note}")
+    if plan.scene.bounds:
+        names = dict.fromkeys(bound.joint for bound in plan.scene.bounds)
+        lines.append(f"stops: {', '.join(names)}; each set of joints at rest has a kernel")
+    if plan.scene.left_out:
+        lines.append(f"left out: {plan.scene.left_out}")
+    return "\n".join([*lines, f"method: {plan.method.name} ({plan.choice.why})"])
+
+
+def explain_modes(traj: Trajectory) -> str:
+    """Describe the modes of a motion with joint stops: times and joints at rest."""
+    modes = traj.motion.modes
+    ends = [*(f"{t:.6g}" for t, _ in modes[1:]), f"{traj.scene.end:g} s"]
+    lines = [
+        f"mode: {label}, t = {t:.6g} to {end}" for (t, label), end in zip(modes, ends, strict=True)
+    ]
+    return "\n".join([*lines, f"impacts: {len(traj.impacts.times)}"])
+
+
+def seen_and_integrated(plan: Plan) -> list[str]:
+    """Describe how forces depend on the base, and why momentum is integrated or constant."""
+    forces = plan.forces
+    if forces is None:
+        return []
+    lines = []
+    observed = [
+        *(["attitude"] if forces.sees_attitude else []),
+        *(["position or velocity"] if forces.sees_place else []),
+    ]
+    if observed:
+        lines.append(f"observed by forces: {' and '.join(observed)} of the base")
+    if forces.acting_on_base:
+        labels = ", ".join(dict.fromkeys(forces.acting_on_base))
+        lines.append(f"also integrated: momentum, because wrenches change it ({labels})")
+    elif observed and not plan.momentum_changes:
+        lines.append("constant: momentum, because torques do not change it")
+    return lines
+
+
+def _has_no_momentum(plan: Plan) -> bool:
+    from .compiled.compiled_flow import has_no_momentum  # which imports the kernels
+
+    return has_no_momentum(plan)
+
+
+def _is_parameter(layout: Layout, ball: SymmetricBall) -> bool:
+    """Return whether the constant momentum of a symmetric ball is a parameter of the kernel."""
+    return not {*rotors_among([ball]), *axial_among([ball])}.isdisjoint(layout.constant_pi)
+
+
+def varying(plan: Plan, *, generic: bool = False) -> list[str]:
+    """Describe the robot parameters that are inputs of the kernel, and their cost.
+
+    Args:
+        plan: The plan of a scene.
+        generic: Whether placements may take any value, as in flows.
+    Returns:
+        The lines.
+    """
+    varied = plan.scene.varied
+    if varied is None:
+        return []
+    variables, names = plan.freed(generic=generic), list(plan.system.sorted_model.names)
+    lines = []
+    if variables.inertias:
+        bodies = ", ".join(names[i + 1] for i in variables.inertias)
+        lines.append(f"inputs: inertias of the bodies on {bodies} (up to 1.2 × an evaluation)")
+    patterned = [names[i + 1] for i, pattern in variables.steps if "x" * 4 not in pattern]
+    general = [names[i + 1] for i, pattern in variables.steps if "x" * 4 in pattern]
+    if patterned:
+        lines.append(
+            f"inputs: placements of {', '.join(patterned)}, within their pattern of zeros and "
+            "quarter turns (up to 1.2 × an evaluation)"
+        )
+    if general:
+        lines.append(
+            f"inputs: placements of {', '.join(general)}, of any kind (of all joints, two "
+            "to five evaluations)"
+        )
+    if variables.links:
+        links = ", ".join(str(plan.system.sorted_model.frames[k].name) for k in variables.links)
+        lines.append(f"inputs: placements of {links} on their bodies, because forces act there")
+    if varied.gravity:
+        lines.append("inputs: gravity")
+    return lines
+
+
+def integrated(plan: Plan) -> str:
+    """Describe the number of variables of a full simulation and of the compiled engine."""
+    full = plan.system.model.nq + plan.system.model.nv
+    layout = plan.layout(zero_momentum=_has_no_momentum(plan))
+    return f"{full} → {layout.size} numbers"
+
+
+def skipped(plan: Plan, *, zero_momentum: bool) -> list[str]:
+    """Describe the terms that are not integrated or not computed.
+
+    Args:
+        plan: The plan of a scene.
+        zero_momentum: Whether the angular momentum of the base is zero at the start.
+    Returns:
+        A line for each group of terms.
+    """
+    system, forces = plan.system, plan.forces
+    names, group = system.shape_names, system.group
+    layout = plan.layout(zero_momentum=zero_momentum)
+    lines = []
+    if not plan.wanted:
+        lines.append("the base: it is not requested")
+    if group.linear:
+        if plan.wrench and plan.wanted:
+            lines.append("translation of the base: it follows the centre of mass")
+        else:
+            lines.append("translation of the base: the centre of mass moves on a known path")
+        if falling(system).any():
+            lines.append("gravity along it: it only makes the centre of mass fall")
+    if group.turns and not layout.base.momentum:
+        if zero_momentum:
+            lines.append("all terms with momentum: it is zero, and the base follows the shape")
+        else:
+            lines.append("angular momentum: it follows from the attitude, or is constant")
+    if plan.driven:
+        driven = ", ".join(names[k] for k in plan.driven)
+        lines.append(f"dynamics of the prescribed joints: {driven}")
+    if plan.cyclic:
+        cyclic = ", ".join(names[k] for k in plan.cyclic)
+        lines.append(f"momenta of the cyclic joints, which are constant: {cyclic}")
+    lines += [
+        f"{ball}, which is constant" for ball in plan.symmetric_balls if _is_parameter(layout, ball)
+    ]
+    if not system.m:
+        lines.append("shape: there is none")
+    elif not plan.gravity.any() and forces is None:
+        lines.append("potential: nothing acts on the shape")
+    return lines

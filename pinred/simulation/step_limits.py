@@ -113,26 +113,26 @@ class StepLimits:
         if not (self.longest < longest).any():
             return np.empty(0)
         lengths = np.diff(self.ends, prepend=0.0)
-        parts = np.where(self.longest < longest, np.ceil(lengths / self.longest), 1.0).astype(int)
-        starts = np.repeat(self.ends - lengths, parts)
-        starts += (np.arange(len(starts)) - np.repeat(np.cumsum(parts) - parts, parts)) * np.repeat(
-            lengths / parts, parts
-        )
-        limits = np.repeat(self.longest, parts)
+        counts = np.where(self.longest < longest, np.ceil(lengths / self.longest), 1.0).astype(int)
+        starts = np.repeat(self.ends - lengths, counts)
+        starts += (
+            np.arange(len(starts)) - np.repeat(np.cumsum(counts) - counts, counts)
+        ) * np.repeat(lengths / counts, counts)
+        limits = np.repeat(self.longest, counts)
         stops: list[float] = []
         begin, limit, previous = 0.0, np.inf, np.inf
-        for start, end, own in zip(
+        for start, end, count in zip(
             starts.tolist(), [*starts[1:].tolist(), self.ends[-1]], limits.tolist(), strict=True
         ):
-            if own >= longest:
+            if count >= longest:
                 if previous < longest:
                     stops.append(start)
-            elif previous >= longest or end - begin > min(limit, own):
+            elif previous >= longest or end - begin > min(limit, count):
                 stops.append(start)
-                begin, limit = start, own
+                begin, limit = start, count
             else:
-                limit = min(limit, own)
-            previous = own
+                limit = min(limit, count)
+            previous = count
         return np.array(stops[1:] if stops and stops[0] == 0.0 else stops)
 
     @cached_property
@@ -143,8 +143,8 @@ class StepLimits:
         octaves = np.floor(_PER_OCTAVE * np.log2(self.longest)) / _PER_OCTAVE
         candidates = np.unique([self.longest.min(), *np.exp2(octaves), np.inf])
         order = np.argsort(self.longest)
-        parts = np.append(0.0, np.cumsum((lengths / self.longest)[order]))
-        stops = parts[np.searchsorted(self.longest[order], candidates, side="left")]
+        sums = np.append(0.0, np.cumsum((lengths / self.longest)[order]))
+        stops = sums[np.searchsorted(self.longest[order], candidates, side="left")]
         longest = float(candidates[np.argmin(end / candidates + _RESTART * stops)])
         return Limited(longest, self.stops(longest))
 
@@ -218,7 +218,7 @@ def limits_of_runs(
     for first in range(0, len(numbers), _TOGETHER):
         runs = slice(first, first + _TOGETHER)
         search = _Search(forces, end, numbers[runs], rtol, tables[runs])
-        limits += [each.shorter(share) for each in search.run()]
+        limits += [limits_of_run.shorter(share) for limits_of_run in search.run()]
     return limits
 
 
@@ -264,10 +264,10 @@ class _Search:
         self, forces: ForceModel, end: float, numbers: Array, rtol: float, tables: SpanNumbers
     ) -> None:
         """Store the arguments of `limits_of_runs`."""
-        breaks = [forces.switching.breaks(end, row, tables[k]) for k, row in enumerate(numbers)]
-        self._starts = np.concatenate([np.append(0.0, each) for each in breaks])
-        self._stops = np.concatenate([np.append(each, end) for each in breaks])
-        self._run = np.repeat(np.arange(len(numbers)), [len(each) + 1 for each in breaks])
+        breaks = [forces.switching.breaks(end, p, tables[k]) for k, p in enumerate(numbers)]
+        self._starts = np.concatenate([np.append(0.0, b) for b in breaks])
+        self._stops = np.concatenate([np.append(b, end) for b in breaks])
+        self._run = np.repeat(np.arange(len(numbers)), [len(b) + 1 for b in breaks])
         within = time_within(self._starts, self._stops)
         width = forces.within.stop - forces.within.start
         self._of_spans = np.ascontiguousarray(tables.at(within, self._run)[:, :width].T)
@@ -325,8 +325,8 @@ class _Search:
         """Evaluate the functions on panels, and their bounds if `bounded`."""
         if len(span) > _PANELS:
             chunks = [slice(k, k + _PANELS) for k in range(0, len(span), _PANELS)]
-            parts = (self._panels(span[c], level[c], index[c], bounded=bounded) for c in chunks)
-            return _joined(*parts)
+            pieces = (self._panels(span[c], level[c], index[c], bounded=bounded) for c in chunks)
+            return _joined(*pieces)
         functions, nodes, transform = self._forces.time_functions, *_chebyshev()
         bare = _Panels(span, level, index, *[np.empty(0)] * 5)
         starts, lengths = self._times(bare)
@@ -397,19 +397,19 @@ class _Search:
     def _join(self, panels: _Panels, scale: Array) -> _Panels:
         """Replace pairs of panels by the panel that contains both, where it is resolved."""
         for level in range(int(panels.level.max(initial=0)), 0, -1):
-            here = np.flatnonzero(panels.level == level)
-            order = here[np.lexsort((panels.place[here], panels.span[here]))]
+            indices = np.flatnonzero(panels.level == level)
+            order = indices[np.lexsort((panels.place[indices], panels.span[indices]))]
             span, index = panels.span[order], panels.place[order]
             pairs = (index[:-1] % 2 == 0) & (np.diff(index) == 1) & (np.diff(span) == 0)
             first = np.flatnonzero(pairs)
             if not first.size:
                 continue
             levels = np.full(first.size, level - 1)
-            whole = self._panels(span[first], levels, index[first] // 2, bounded=False)
-            joins = self._growth(whole, scale) >= 1.0
-            others = np.ones(len(panels.span), dtype=bool)
-            others[order[first[joins]]] = others[order[first[joins] + 1]] = False
-            panels = _joined(panels.at(others), whole.at(joins))
+            joined = self._panels(span[first], levels, index[first] // 2, bounded=False)
+            joins = self._growth(joined, scale) >= 1.0
+            kept = np.ones(len(panels.span), dtype=bool)
+            kept[order[first[joins]]] = kept[order[first[joins] + 1]] = False
+            panels = _joined(panels.at(kept), joined.at(joins))
         return panels
 
 

@@ -127,14 +127,14 @@ def _steps_of(limits: StepLimits, trajectory: Trajectory) -> Iterator[Steps]:
     """Yield the steps between stops, of spans that contain steps to be checked."""
     motion = trajectory.motion
     chosen: Iterable[int] = range(len(motion.segments))
-    parts, rest = divmod(len(motion.knots) - 1, max(1, motion.steps))
-    if parts and not rest:  # Each step has the same number of parts.
-        chosen = steps_to_check(limits, motion.knots[::parts], motion.segments.ends)
+    divisions, remainder = divmod(len(motion.knots) - 1, max(1, motion.steps))
+    if divisions and not remainder:  # Each step has the same number of parts.
+        chosen = steps_to_check(limits, motion.knots[::divisions], motion.segments.ends)
     for k in chosen:
         segment = motion.segments[k]
         knots = segment.knots
-        parts = -(-(len(knots) - 1) // max(1, segment.steps))  # of each step, rounded up
-        ends = np.append(knots[:-1:parts], knots[-1])
+        divisions = -(-(len(knots) - 1) // max(1, segment.steps))  # of each step, rounded up
+        ends = np.append(knots[:-1:divisions], knots[-1])
         yield Steps(ends, segment.at, partial(_rates, motion.flow_of(k), segment.parameters))
 
 
@@ -219,16 +219,16 @@ def is_unresolved(
     """
     error: Array | float = 0.0
     size: Array | float = 0.0  # largest absolute value of each entry of the state so far
-    for each in steps:
-        starts, lengths = each.ends[:-1], np.diff(each.ends)
-        allowed = limits.within(starts, each.ends[1:])
+    for steps_of_span in steps:
+        starts, lengths = steps_of_span.ends[:-1], np.diff(steps_of_span.ends)
+        allowed = limits.within(starts, steps_of_span.ends[1:])
         long = lengths > _CHECKED * allowed
         if not long.any():
             continue
         counts = np.ceil(limits.share * lengths[long] / allowed[long]).astype(int)
         pieces = np.array_split(np.arange(len(counts)), -(-counts.sum() // _TOGETHER))
         for k in pieces:
-            defects, sizes = _defects(each, starts[long][k], lengths[long][k], counts[k])
+            defects, sizes = _defects(steps_of_span, starts[long][k], lengths[long][k], counts[k])
             errors = error + np.cumsum(defects, axis=0)
             sizes = np.maximum.accumulate(np.maximum(sizes, size))
             if not (np.abs(errors) <= _DEFECT * (tolerance[1] + tolerance[0] * sizes)).all():
@@ -247,10 +247,10 @@ def _defects(steps: Steps, starts: Array, lengths: Array, counts: Indices) -> tu
         counts: Numbers of equal parts that resolve all functions of time, (K,).
     """
     step, first = np.repeat(np.arange(len(counts)), counts), np.cumsum(counts) - counts
-    part = np.arange(len(step)) - first[step]
+    part_index = np.arange(len(step)) - first[step]
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     half = 0.5 * (lengths / counts)[step]
-    times = starts[step, None] + half[:, None] * (2 * part[:, None] + 1.0 + nodes)
+    times = starts[step, None] + half[:, None] * (2 * part_index[:, None] + 1.0 + nodes)
     y = steps.at(np.concatenate([times.ravel(), starts, starts + lengths]))  # in one call: faster
     inside, before, after = np.split(y, [times.size, times.size + len(starts)])
     slopes = steps.rates(times.ravel(), inside).reshape(*times.shape, -1)
@@ -314,7 +314,7 @@ def resolve_steps(
     if worst.times.size and differ(runs[-2], last):
         raise IntegrationError(_describe(last, worst))
     if len(runs) > 1:
-        last.run = cost_of_all([each.run for each in runs])
+        last.run = cost_of_all([repeated.run for repeated in runs])
     return last
 
 
@@ -349,7 +349,7 @@ def find_defects(plan: Plan, trajectory: Trajectory) -> _Worst:
         for k, segment in enumerate(motion.segments)
         if first[k] < first[k + 1]
     ]
-    times, defects = (np.concatenate(rows) for rows in zip(*samples_of_segments, strict=True))
+    times, defects = (np.concatenate(columns) for columns in zip(*samples_of_segments, strict=True))
     return _Worst(times, defects)
 
 
@@ -366,11 +366,11 @@ def _worst_of(
     knots = segment.knots
     step = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(knots) - 2)
     start, length = knots[step], np.diff(knots)[step]
-    used, row = np.unique(step, return_inverse=True)
+    used, index = np.unique(step, return_inverse=True)
     coefficients = _fit(segment, knots[used], knots[used + 1])
     u = 2.0 * (times - start) / length - 1.0
-    y = np.einsum("sd,sdn->sn", np.vander(u, _DEGREE + 1, increasing=True), coefficients[row])
-    slopes = np.einsum("sd,sdn->sn", _powers_of_derivative(u), coefficients[row])
+    y = np.einsum("sd,sdn->sn", np.vander(u, _DEGREE + 1, increasing=True), coefficients[index])
+    slopes = np.einsum("sd,sdn->sn", _powers_of_derivative(u), coefficients[index])
     rates = flow.rates(times, y, segment.parameters)
     rtol, atol = tolerance
     # 2 (dy/du) is h dy/dt.

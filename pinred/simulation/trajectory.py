@@ -1,6 +1,6 @@
 """Trajectory: the result of a simulation, at the report times and at any other time.
 
-`integrate_plan` makes it: from a plan and the flow of an engine.
+`run_plan` makes it: from a plan and an engine.
 """
 
 from __future__ import annotations
@@ -25,15 +25,14 @@ from .plan import Plan, plan_of
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from ..common.waiting import Progress
     from ..system.system import System
     from .balances import EnergyBalance, MomentumBalance
-    from .checkpoint import RunRecord
-    from .control import ControlAction
+    from .checkpoint import Checkpoint
     from .events import Crossings
     from .impacts import ImpactTable
     from .limit_excess import LimitTable
-    from .motion import Motion, Segments
-    from .reduced_flow import Integrate, ReducedFlow
+    from .motion import ControlAction, Motion, Solver
 
 
 @dataclass(frozen=True)
@@ -242,19 +241,19 @@ class Trajectory(OverTime):
     def _repr_html_(self) -> str:
         from ..common.html import card, line, number, table
 
-        out, run = self.outputs, self.run
-        rows = [
+        outputs, run = self.outputs, self.run
+        entries = [
             (name, float(x[0]), float(x[-1]), float(x.min()), float(x.max()))
-            for name, x in zip(self.system.x_names, out.x.T, strict=True)
+            for name, x in zip(self.system.x_names, outputs.x.T, strict=True)
         ]
         momenta = ""
-        lines = [f"energy [J]: {number(out.energy[0])} → {number(out.energy[-1])}"]
-        if isinstance(out, State):
-            group, (first, last) = self.system.group, out.pose[[0, -1]]
-            turned = float(group.error(first, last).rotation)
-            moved = float(np.linalg.norm((last - first)[: group.linear]))
-            lines.append(f"base: turned by {number(turned)} rad, moved by {number(moved)} m")
-            J = out.spatial_momentum
+        lines = [f"energy [J]: {number(outputs.energy[0])} → {number(outputs.energy[-1])}"]
+        if isinstance(outputs, State):
+            group, (first, last) = self.system.group, outputs.pose[[0, -1]]
+            rotation = float(group.error(first, last).rotation)
+            shift = float(np.linalg.norm((last - first)[: group.linear]))
+            lines.append(f"base: turned by {number(rotation)} rad, moved by {number(shift)} m")
+            J = outputs.spatial_momentum
             momenta = table(
                 "",
                 ["spatial momentum [N·s | N·m·s]", *group.twist_names],
@@ -264,7 +263,7 @@ class Trajectory(OverTime):
             self.system.name,
             f"{len(self)} times to {self.scene.end:g} s, {run.steps} steps of {run.method} "
             f"({run.engine}), {run.evaluations} evaluations in {run.wall:.3g} s",
-            table("shape [rad | m]", ["joint", "start", "end", "least", "greatest"], rows),
+            table("shape [rad | m]", ["joint", "start", "end", "least", "greatest"], entries),
             *map(line, (*lines, *run.notices)),
             momenta,
         )
@@ -317,63 +316,63 @@ class Trajectory(OverTime):
         save(self, path)
 
 
-Again = Callable[[], Trajectory]
-
-
-def integrate_plan(
+def run_plan(
     plan: Plan,
-    flow: ReducedFlow,
-    integrate: Integrate,
     engine: Engine,
-    method: str,
-    again: Again,
-    through: Callable[[], Segments] | None = None,
-    record: RunRecord | None = None,
-    *,
-    thinned: bool = False,
+    progress: Progress | None,
+    again: Callable[[], Trajectory],
+    checkpoint: Checkpoint | None = None,
 ) -> Trajectory:
-    """Integrate a flow over the time of its plan, and measure the run.
+    """Integrate a plan, from impact to impact if its scene has joint stops, and measure the run.
 
     Args:
         plan: The plan.
-        flow: Reduced flow of the plan.
-        integrate: The function that integrates the flow.
         engine: Name of the engine.
-        method: Name of the method.
+        progress: Called repeatedly with the completed fraction of the time, 0 to 1.
         again: Function that simulates the scene again; see Trajectory.
-        through: Integrates the flow through all stops; see `follow`.
-        record: Record of the run in a checkpoint; or None.
-        thinned: Whether segments do not store their step ends.
+        checkpoint: Checkpoint that the run continues and updates; or None.
     Returns:
-        The trajectory.
+        The trajectory. If an event ended the motion, its scene ends there.
     Raises:
-        IntegrationError: The integration failed, or a loop is singular.
+        InputError: A prescribed joint runs into its stop.
+        IntegrationError: The integrator cannot continue, or a loop is singular.
     """
-    from .motion import follow
+    solver = _solver_of(engine, plan)
+    flow: Any
+    integrate: Callable[[], Motion]
+    if plan.scene.bounds:
+        from .run_with_stops import RunWithStops
 
+        stopped = RunWithStops(plan, progress, solver, checkpoint)
+        flow, record, integrate = stopped.first, stopped.record, stopped.motion
+    else:
+        flow = solver.flow(plan)
+        record = None if checkpoint is None else checkpoint.run(flow, plan)
+        integrate = solver.motion(flow, plan, progress, record)
     started = time.perf_counter()
-    motion = follow(plan, flow, integrate, through, record, thinned=thinned)
-    wall = time.perf_counter() - started
+    motion = integrate()
+    wall = time.perf_counter() - started - motion.building
     if plan.system.closure is not None:
         from .closed_loops import refuse_singular_loops
 
         refuse_singular_loops(plan.system, motion)
-    run = Cost(engine, method, motion.steps, motion.evaluations, wall, plan.notices)
-    return trajectory_of_motion(plan, motion, run, again)
-
-
-def trajectory_of_motion(plan: Plan, motion: Motion, run: Cost, again: Again) -> Trajectory:
-    """Return the trajectory of an integrated plan, whose scene ends where the motion ends.
-
-    Args:
-        plan: The plan.
-        motion: Its motion.
-        run: Cost of the integration.
-        again: Function that simulates the scene again; see Trajectory.
-    """
-    terminal_crossing = motion.ended_by
-    scene = plan.scene if terminal_crossing is None else _until(plan.scene, terminal_crossing.t)
+    end = motion.ended_by
+    if checkpoint is not None and record is not None:
+        checkpoint.close(record, flow, plan, cut=end is not None)
+    scene = plan.scene if end is None else _until(plan.scene, end.t)
+    run = Cost(engine, solver.method, motion.steps, motion.evaluations, wall, plan.notices)
     return Trajectory(scene, motion, run, again)
+
+
+def _solver_of(engine: Engine, plan: Plan) -> Solver:
+    """Return an engine for a plan; SciPy is imported for "pinocchio" only."""
+    if engine == "compiled":
+        from .compiled.integrator import compiled_solver
+
+        return compiled_solver(plan)
+    from .pinocchio_engine import SOLVER
+
+    return SOLVER
 
 
 def _until(scene: Scene, end: float) -> Scene:

@@ -80,7 +80,7 @@ def test_exceptions_of_users_functions_show_no_frames_between() -> None:
     for text in (fault, fault_below):  # a user's function calls pinred in the second
         assert "pinred/simulation/simulate.py" in text
         assert "TypeError" in text
-    assert "pinred/simulation/control.py" in fault_below
+    assert "pinred/simulation/motion.py" in fault_below
 
 
 def test_environment_variable_restores_all_frames() -> None:
@@ -89,4 +89,4 @@ def test_environment_variable_restores_all_frames() -> None:
     assert "pinred/simulation/simulate.py" in simple
     assert wrong_kind.count("Traceback (most recent call last)") >= 1
     assert "<checks" in wrong_kind
-    assert "pinred/simulation/control.py" in thrown
+    assert "pinred/simulation/motion.py" in thrown

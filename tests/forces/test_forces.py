@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import aba
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from forced_trees import against_aba, tree
-from hypothesis import given, settings
-from strategies import groups, seeds
-from trees import climbing_joint, random_model
-
 import pinred
+from typing import Any
+from forced_trees import against_aba
+from forced_trees import tree
+from hypothesis import given
+from hypothesis import settings
+from strategies import groups
+from strategies import seeds
+from trees import climbing_joint
+from trees import random_model
 from pinred.common.arrays import Array
-from pinred.forces import PD, Controller, Damper, PotentialEnergy, Spring, Torque, Wrench
+from pinred.forces import PD
+from pinred.forces import Controller
+from pinred.forces import Damper
+from pinred.forces import PotentialEnergy
+from pinred.forces import Spring
+from pinred.forces import Torque
+from pinred.forces import Wrench
 from pinred.forces.force import Force
 from pinred.lie import GROUPS
-from pinred.scene.scene import ENGINES, Engine
-from pinred.signals import Constant, Hold, Linear, Spline
+from pinred.scene.scene import ENGINES
+from pinred.scene.scene import Engine
+from pinred.signals import Constant
+from pinred.signals import Hold
+from pinred.signals import Linear
+from pinred.signals import Spline
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
 
@@ -220,8 +232,8 @@ def test_push_along_free_slide(
     t = traj.t
     np.testing.assert_allclose(traj.x[:, 0], 0.1 + 0.3 * t - 0.5 * 0.8 / 2.0 * t**2, atol=1e-9)
     np.testing.assert_allclose(traj.pose[:, 0], 0.5 * 0.8 / 2.0 * t**2, atol=1e-9)
-    assert traj.plan.acting.cyclic == ()
-    assert pinred.simulate(system, **options).plan.acting.cyclic == (0,)
+    assert traj.plan.cyclic == ()
+    assert pinred.simulate(system, **options).plan.cyclic == (0,)
 
 
 @pytest.mark.slow
@@ -250,7 +262,7 @@ def test_torque_from_table_equals_aba(kind: Any, engine: Engine) -> None:
 
 def wheels(*forces: Force) -> tuple[int, ...]:
     """Return the cyclic joints of the reaction wheel satellite under some forces."""
-    return plan_of(pinred.Scene(system=SATELLITE, forces=forces)).acting.cyclic
+    return plan_of(pinred.Scene(system=SATELLITE, forces=forces)).cyclic
 
 
 def test_forces_on_wheels_make_them_acyclic() -> None:

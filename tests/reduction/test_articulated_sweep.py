@@ -5,10 +5,12 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from strategies import Case, cases, make_case
-
 import pinred
+from hypothesis import given
+from hypothesis import settings
+from strategies import Case
+from strategies import cases
+from strategies import make_case
 from pinred.common.arrays import Array
 from pinred.kernels.kernel import Structure
 from pinred.kernels.reduced_graph import ReducedGraph
@@ -20,7 +22,6 @@ from pinred.reduction.tree.articulated_sweep import sweep
 from pinred.reduction.tree.body_frames import bodies_of
 from pinred.simulation.pinocchio_engine import PinocchioFlow
 from pinred.simulation.plan import plan_of
-
 
 def evaluate(function: ca.Function, *arguments: Array) -> Array:
     """Value of a CasADi function as a vector."""
@@ -97,7 +98,7 @@ def test_reduced_graph_rates_equal_pinocchio_route(name: str, zero: bool) -> Non
     y0, base = flow.y0, flow.base
     assert base.spin.any() != zero or not base.spin.size
     y = np.concatenate([y0[:m][active], y0[m : 2 * m][active], y0[:m][cyclic], y0[2 * m :]])
-    gravity = plan_of(scene).acting.gravity[list(layout.gravity)]
+    gravity = plan_of(scene).gravity[list(layout.gravity)]
     parameters = np.concatenate([base.spin, y0[m : 2 * m][cyclic], gravity, flow.parameters])
     assert (len(y), len(parameters)) == (layout.size, layout.parameters)
     rate = flow.rate(0.0, y0)

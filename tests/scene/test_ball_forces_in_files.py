@@ -11,7 +11,7 @@ import pytest
 import pinred
 from pinred import InputError, PinredError
 from pinred.forces import BallLimit, BallPD, BallSpring, Damper, Force, Limit, PotentialEnergy
-from pinred.scene.toml.force_kinds import FORCES
+from pinred.scene.toml.value_tables import FORCES
 from pinred.signals import Attitude
 
 MATRIX = [[3.0, 0.4, -0.2], [0.4, 2.0, 0.3], [-0.2, 0.3, 1.5]]

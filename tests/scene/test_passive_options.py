@@ -12,9 +12,9 @@ import pytest
 import pinred
 from pinred.cli.main import main
 from pinred.forces import Damper, Friction
-from pinred.scene.file_forces import passive_left_out
-from pinred.simulation.explain import explain
+from pinred.scene.input_formats import passive_left_out
 from pinred.simulation.plan import plan_of
+from pinred.simulation.simulate import explain_plan
 from pinred.system.robot_file_contents import Contents
 
 ROBOT = """<robot name="pair">
@@ -86,7 +86,7 @@ def test_left_out_passive_forces_are_reported_in_one_line(
     scene = pinred.Scene(system=pinred.load(robot), xdot0=[1.0], duration=0.2, **options)
     left = scene.left_out
     assert bool(left) == (len(options) < 2)
-    lines = explain(plan_of(scene)).splitlines()
+    lines = explain_plan(plan_of(scene)).splitlines()
     assert (f"left out: {left}" in lines) == bool(left)
     assert any("left out" in line for line in lines) == bool(left)
     report = pinred.compare(pinred.simulate(scene))

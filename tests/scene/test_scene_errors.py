@@ -24,10 +24,9 @@ from pinred.cli.main import main
 from pinred.common.errors import InputError, LoadError, ModelError, PinredError, ShapeError
 from pinred.planning.gait_file import GAIT_FILE
 from pinred.scene.toml.documents import SCENE, scene_schema
-from pinred.scene.toml.file_place import LARGEST, Place
-from pinred.scene.toml.schema import Table
-from pinred.simulation.explain import explain
+from pinred.scene.toml.schema import LARGEST, Place, Table
 from pinred.simulation.plan import plan_of
+from pinred.simulation.simulate import explain_plan
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.toml"))
@@ -425,7 +424,7 @@ def test_mutated_file_raises_only_pinred_errors(
         assert "\n" not in said
     else:
         with suppress(PinredError), warnings.catch_warnings(action="ignore"):
-            assert explain(plan_of(scene))
+            assert explain_plan(plan_of(scene))
         # What the numbers make of each other is said when somebody wants it.
         with suppress(PinredError):
             assert math.isfinite(scene.start.mu.sum())

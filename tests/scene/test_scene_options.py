@@ -22,9 +22,8 @@ from pinred.scene.scene_options import (
     list_conflicts,
 )
 from pinred.scene.toml.documents import FILE_OPTIONS, options_in, scene_table
-from pinred.scene.toml.file_place import Place
-from pinred.scene.toml.schema import document_schema
-from pinred.scene.toml.signal_tables import POSITIVE
+from pinred.scene.toml.schema import Place, document_schema
+from pinred.scene.toml.value_tables import POSITIVE
 
 PACKAGE = Path(pinred.__file__).parent
 

@@ -4,32 +4,31 @@ from __future__ import annotations
 
 import ctypes
 import re
-from pathlib import Path
-from threading import Event, Thread
-from typing import Any
-
 import llvmlite.binding as llvm
 import numpy as np
 import pytest
-
 import pinred
-from pinred.common import compile_ahead, object_cache
+from pathlib import Path
+from threading import Event
+from threading import Thread
+from typing import Any
+from pinred.common import compile_ahead
+from pinred.common import object_cache
 from pinred.common.errors import InputError
-from pinred.common.machine_code import (
-    _unlocked_library,
-    archive_of,
-    create_machine,
-    emit_object,
-    load_object,
-)
+from pinred.common.machine_code import _unlocked_library
+from pinred.common.machine_code import archive_of
+from pinred.common.machine_code import create_machine
+from pinred.common.machine_code import emit_object
+from pinred.common.machine_code import load_object
 from pinred.common.object_cache import ObjectCache
 from pinred.integrators.methods import METHODS
 from pinred.integrators.stepping import shipped_code
-from pinred.integrators.stepping.call_wrapper import argument_type, plain_value
+from pinred.integrators.stepping.call_wrapper import argument_type
+from pinred.integrators.stepping.call_wrapper import plain_value
 from pinred.integrators.stepping.compiling import CompiledFunction
 from pinred.integrators.stepping.kernel_call import from_lanes
 from pinred.simulation.compiled import code_ahead
-from pinred.simulation.compiled.divided_code import divide
+from pinred.simulation.compiled.code_ahead import divide
 
 FOLDER = shipped_code.FOLDER
 TWO_FUNCTIONS = """
@@ -108,7 +107,7 @@ def bodies(assembly: str) -> dict[str, list[str]]:
 
 def test_parts_of_a_module_call_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """An archive of object codes is loaded like one object code."""
-    monkeypatch.setattr("pinred.simulation.compiled.divided_code._LENGTH", 1)
+    monkeypatch.setattr("pinred.simulation.compiled.code_ahead._LENGTH", 1)
     texts = divide(llvm.parse_assembly(TWO_FUNCTIONS, llvm.create_context()))
     assert len(texts) == 2
     codes = [
@@ -121,7 +120,7 @@ def test_parts_of_a_module_call_each_other(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_longest_part_is_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """The thread that compiles first should not wait for the longest part at the end."""
-    monkeypatch.setattr("pinred.simulation.compiled.divided_code._LENGTH", 1)
+    monkeypatch.setattr("pinred.simulation.compiled.code_ahead._LENGTH", 1)
     lengths = [len(t) for t in divide(llvm.parse_assembly(TWO_FUNCTIONS, llvm.create_context()))]
     assert lengths == sorted(lengths, reverse=True)
 

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import lazy_loader
+import numpy as np
+import pytest
+import pinred
 from collections.abc import Iterator
 from dataclasses import replace
 from importlib.util import find_spec
 from threading import Thread
 from time import perf_counter
 from typing import Any
-
-import lazy_loader
-import numpy as np
-import pytest
-from perturbed_cat import AT, BATCH, flow_of
-from twelve_gains import OTHER, OWN, assert_same_bits, flow_pair
-
-import pinred
-from pinred import InputError, ShapeError
+from perturbed_cat import AT
+from perturbed_cat import BATCH
+from perturbed_cat import flow_of
+from twelve_gains import OTHER
+from twelve_gains import OWN
+from twelve_gains import assert_same_bits
+from twelve_gains import flow_pair
+from pinred import InputError
+from pinred import ShapeError
 from pinred.common.arrays import Array
-from pinred.simulation.flow_map import xla_call
 from pinred.simulation.flow_map.flow_columns import Columns
+from pinred.simulation.flow_map import jax_adapter
 
 jax: Any = lazy_loader.load("jax") if find_spec("jax") else pytest.importorskip("jax")
 pytestmark = pytest.mark.slow
@@ -80,14 +84,14 @@ def test_vmap_is_one_call(columns: Columns, monkeypatch: pytest.MonkeyPatch) -> 
     function = flow_of().jax()
     entries: list[int] = []
     for number in range(3):
-        k = max(xla_call._functions) - number
-        real = xla_call._functions[k]
+        k = max(jax_adapter._functions) - number
+        real = jax_adapter._functions[k]
 
         def entered(given: Any, out: Any, _k: int = k, _real: Any = real) -> None:
             entries.append(_k)
             _real.many(given, out)
 
-        monkeypatch.setitem(xla_call._functions, k, replace(real, many=entered))
+        monkeypatch.setitem(jax_adapter._functions, k, replace(real, many=entered))
 
     def of(x: Any) -> Any:
         return function(x, *AT[1:])

@@ -18,8 +18,8 @@ from pinred.forces import Damper, Torque, Wrench
 from pinred.signals import Hold
 from pinred.simulation import plan
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
-from pinred.simulation.explain import explain
 from pinred.simulation.plan import plan_of
+from pinred.simulation.simulate import explain_plan
 
 AUTO: Any = "auto"
 METHODS = [AUTO, DOP853(1e-9, 1e-11), Gauss(0.01), Radau(1e-9, 1e-11), Variational(0.01)]
@@ -45,7 +45,7 @@ def test_explained_size_is_that_of_the_flow(
     found = plan_of(scene)
     size = CompiledFlow.of_plan(found).y0.size
     full = system.model.nq + system.n
-    assert f"integrated: {full} → {size} numbers" in explain(found).splitlines()
+    assert f"integrated: {full} → {size} numbers" in explain_plan(found).splitlines()
 
 
 @pytest.mark.parametrize("method", [Gauss(0.01), Variational(0.01)])
@@ -54,7 +54,7 @@ def test_symplectic_method_integrates_a_quaternion(method: Any) -> None:
     system = pinred.load("falling_cat")
     options: dict[str, Any] = {"xi0": np.ones(6), "outputs": "shape"}
     for each, size in ((method, 10), (AUTO, 9)):
-        lines = explain(plan_of(pinred.Scene(system=system, method=each, **options)))
+        lines = explain_plan(plan_of(pinred.Scene(system=system, method=each, **options)))
         assert f"integrated: 19 → {size} numbers" in lines
 
 
@@ -87,19 +87,18 @@ def test_plan_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_fields_of_plan_with_plan_wheel_and_wrench() -> None:
     """The scene has a prescribed joint, a cyclic wheel and a wrench."""
     system = pinred.load("reaction_wheel_satellite")
-    assert plan_of(pinred.Scene(system=system, seed=0)).acting.cyclic == (1, 2, 3)
+    assert plan_of(pinred.Scene(system=system, seed=0)).cyclic == (1, 2, 3)
     prescribed = {"wheel_x": pinred.signals.Fourier(0.0, [0.1], [0.0], 1.0)}
     scene = pinred.Scene(
         system=system, seed=0, prescribed=prescribed, forces=[Wrench([0, 0, 0, 0, 0, 1])]
     )
     found = plan_of(scene)
-    acting = found.acting
-    assert acting.driven == (1,)
-    assert acting.free == tuple(k for k in range(system.m) if k != 1)
-    assert acting.cyclic == (2, 3)
-    assert acting.momentum_changes
-    assert acting.wrench
-    assert not acting.turned
+    assert found.driven == (1,)
+    assert found.free == tuple(k for k in range(system.m) if k != 1)
+    assert found.cyclic == (2, 3)
+    assert found.momentum_changes
+    assert found.wrench
+    assert not found.turned
     assert found.structure(zero_momentum=True) is found.structure(zero_momentum=False)
     assert not found.stops.flags.writeable
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 import pytest
-from loop_robots import five_bar, four_bar, sliding_bars
-
 import pinred
+from dataclasses import replace
+from typing import Any
+from loop_robots import five_bar
+from loop_robots import four_bar
+from loop_robots import sliding_bars
 from pinred.common.errors import IntegrationError
 from pinred.forces import Torque
 from pinred.judge.verdict import Verdict
@@ -182,7 +182,7 @@ def test_dependence_of_stops_is_decided_by_the_scaled_metric(
     least: float, refused: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An eigenvalue of the metric with unit diagonal below 1e-9 counts as zero."""
-    inverse = run_with_stops._Run._inverse_metric
+    inverse = run_with_stops.RunWithStops._inverse_metric
 
     def nearly_dependent(self: Any, x: Any, normals: Any) -> Any:
         if len(normals) != 2:
@@ -191,7 +191,7 @@ def test_dependence_of_stops_is_decided_by_the_scaled_metric(
         metric = (1.0 - least) * np.outer(size, size) + np.diag(least * size**2)
         return normals.T @ metric
 
-    monkeypatch.setattr(run_with_stops._Run, "_inverse_metric", nearly_dependent)
+    monkeypatch.setattr(run_with_stops.RunWithStops, "_inverse_metric", nearly_dependent)
     system = load_five_bar()
     x0 = pinred.simulate(system, duration=1e-3, xdot0={"left_crank": 1.0}).x[0]
     stops = {"left_crank": (float(x0[0]), 9.0), "right_crank": (float(x0[2]), 9.0)}

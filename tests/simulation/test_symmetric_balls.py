@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 import pytest
-from ball_trees import joined_bodies, random_body
-from gyrostat import Gyrostat
-
 import pinred
-from pinred.forces import BallSpring, Torque, Wrench
-from pinred.judge.audit import audit_trajectory, axial_momentum_drifts
-from pinred.lie.rotations import quaternion_exp, rotation
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+from ball_trees import joined_bodies
+from ball_trees import random_body
+from gyrostat import Gyrostat
+from pinred.forces import BallSpring
+from pinred.forces import Torque
+from pinred.forces import Wrench
+from pinred.judge.audit import audit_trajectory
+from pinred.judge.audit import axial_momentum_drifts
+from pinred.lie.rotations import quaternion_exp
+from pinred.lie.rotations import rotation
 from pinred.simulation import plan as plans
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
@@ -196,9 +199,7 @@ def test_forces_and_asymmetries_make_ordinary_balls() -> None:
     """A spring, a torque, a centre of mass a nanometre away, moments that differ by 1e-9."""
     system = joined_bodies(MOMENTS, ROTOR)
     for force in (BallSpring("joint", 1.0), Torque({"joint.x": 0.1})):
-        assert (
-            plan_of(pinred.Scene(system=system, **START, forces=force)).acting.symmetric_balls == ()
-        )
+        assert plan_of(pinred.Scene(system=system, **START, forces=force)).symmetric_balls == ()
     other = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     for moments, offset in (
         (MOMENTS, ROTOR + 1e-9 * other),
@@ -207,7 +208,7 @@ def test_forces_and_asymmetries_make_ordinary_balls() -> None:
         (ball,) = pinred.inspect(joined_bodies(moments, offset)).symmetric_balls
         assert ball.axis is not None  # still a body of revolution
     drive = pinred.Scene(system=top(), **START, forces=Torque({"joint.x": 0.1}))
-    assert len(plan_of(drive).acting.symmetric_balls) == 1  # it has no moment about z
+    assert len(plan_of(drive).symmetric_balls) == 1  # it has no moment about z
     assert not pinred.inspect(joined_bodies()).symmetric_balls
 
 
@@ -232,7 +233,7 @@ def test_explain_and_inspect_report_symmetric_balls(capsys: pytest.CaptureFixtur
 def test_audit_finds_changes_of_constant_momenta(make: Any) -> None:
     """A rotation rate that grows by 1e-6 about the axis of symmetry after half of the motion."""
     traj = pinred.simulate(make(), **START, duration=1.0, rtol=1e-12, atol=1e-13)
-    balls, states = traj.plan.acting.symmetric_balls, traj.states
+    balls, states = traj.plan.symmetric_balls, traj.states
     drifts = axial_momentum_drifts(traj.system, balls, states)
     assert len(drifts) == (3 if balls[0].axis is None else 1)
     assert np.abs(drifts).max() <= 1e-13

@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pytest
 import timed_torques
+import pinred
+from collections.abc import Callable
+from collections.abc import Iterator
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 from scipy.optimize import brentq
 from scipy.special import jv
-
-import pinred
 from pinred import Parameter
 from pinred.common.arrays import Array
-from pinred.forces import Torque, time_functions
-from pinred.scene.scene import ENGINES, Engine
+from pinred.forces import Torque
+from pinred.forces import time_functions
+from pinred.scene.scene import ENGINES
+from pinred.scene.scene import Engine
 from pinred.signals import Hold
-from pinred.simulation import step_limits, step_resolution
-from pinred.simulation.flow_map import resolved_run
+from pinred.simulation import step_limits
+from pinred.simulation import step_resolution
 from pinred.simulation.members import integrate_members
 from pinred.simulation.plan import plan_of
 from pinred.simulation.step_limits import StepLimits
+from pinred.simulation.flow_map import flow_run
 
 CAT = pinred.load("falling_cat")
 CENTRE, WIDTH, RATE = Parameter("centre", 1.0), Parameter("width", 0.01), Parameter("rate", 1.0)
@@ -60,7 +62,7 @@ def never_limit(monkeypatch: pytest.MonkeyPatch) -> None:
         return [run(UNLIMITED)]
 
     monkeypatch.setattr(step_resolution, "resolved_runs", runs)
-    monkeypatch.setattr(resolved_run, "resolved_runs", runs)
+    monkeypatch.setattr(flow_run, "resolved_runs", runs)
 
 
 def test_bumps_are_not_skipped(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 import pytest
-
 import pinred
+from typing import Any
 from pinred import InputError
 from pinred.forces import Damper
 from pinred.reduction.tree.body_frames import bodies_of
-from pinred.simulation.explain import explain
 from pinred.simulation.plan import plan_of
+from pinred.simulation.simulate import explain_plan
 
 TURNED = [0.1, 0.2, 0.3, 0.2, -0.4, 0.7]
 CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
@@ -144,7 +142,7 @@ def test_names_without_values_use_those_of_the_robot() -> None:
     for parameters in (["back.mass", "sway.placement", "gravity"], "all"):
         scene = pinred.Scene(system=cat, seed=1, duration=0.2, parameters=parameters)
         np.testing.assert_array_equal(pinred.simulate(scene).x, plain.x)
-        assert "inputs: inertias of the bodies on" in explain(plan_of(scene))
+        assert "inputs: inertias of the bodies on" in explain_plan(plan_of(scene))
         many = pinred.simulate_many([scene])
         np.testing.assert_allclose(many.x[0], plain.x, rtol=0, atol=1e-9)
     assert len(scene.parameters) == 4 * 3 + 3

@@ -18,31 +18,40 @@ Source: P.-A. Absil, R. Mahony, R. Sepulchre, "Optimization algorithms on matrix
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Literal, TypeAlias
-
 import casadi as ca
 import numpy as np
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+from typing import Literal
+from typing import TypeAlias
 from numpy.typing import NDArray
-
-from ...common.arrays import Array, FrozenArrays
+from ...common.arrays import Array
+from ...common.arrays import FrozenArrays
 from ...common.errors import InputError
 from ...common.names import joint_index
 from ...forces.force import Force
-from ...forces.force_model import ForceModel, touched_by
+from ...forces.force_model import ForceModel
+from ...forces.force_model import touched_by
 from ...forces.signals import Signal
 from ...lie.rotations import rotation
 from ...reduction.cyclic_joints import cyclic_of
 from ...reduction.tree.body_frames import bodies_of
 from ...reduction.tree.loop_constraints import constraint_values
 from ...scene.scene import Scene
-from ...simulation.plan import Plan, plan_of
-from ...system.coordinates import PlacedJoint, ShapeSpace, shape_space
+from ...simulation.plan import Plan
+from ...simulation.plan import plan_of
+from ...system.coordinates import PlacedJoint
+from ...system.coordinates import ShapeSpace
+from ...system.coordinates import shape_space
 from ...system.joints import axes_of
 from ...system.loops.kinematics import loop_kinematics
-from ...system.loops.loop_assembly import CLOSED, loop_gaps, rate_units
+from ...system.loops.loop_assembly import CLOSED
+from ...system.loops.loop_assembly import loop_gaps
+from ...system.loops.loop_assembly import rate_units
 from ...system.system import System
 
 Kind: TypeAlias = Literal["axis", "free", "heavy"]
@@ -215,34 +224,33 @@ def problem_of(
         outputs="shape",
     )
     plan, model = plan_of(scene), scene.force_model
-    acting = plan.acting
     if model is not None and (model.labels or model.has_wrench):
         raise InputError(
             f"forces: expected conservative forces, but {', '.join(model.labels)} does work; "
             "leave it out: `damped_growth` of an equilibrium gives the effect of dampers"
         )
     group = system.group
-    heavy = bool(acting.turned)
+    heavy = bool(plan.turned)
     x, rate = _steady(system, model, scene.end)
     momenta_by_name, names = dict(cyclic or {}), system.shape_names
-    momenta = np.zeros(len(acting.cyclic))
+    momenta = np.zeros(len(plan.cyclic))
     for name, value in momenta_by_name.items():
         k = joint_index(name, names, "cyclic")
-        if k not in acting.cyclic:
-            valid = ", ".join(names[j] for j in acting.cyclic) or "none"
+        if k not in plan.cyclic:
+            valid = ", ".join(names[j] for j in plan.cyclic) or "none"
             raise InputError(
                 f"cyclic: '{name}' is not cyclic, because something depends on its angle or drives "
                 f"it. The cyclic joints are {valid}"
             )
-        momenta[acting.cyclic.index(k)] = finite(value, f"cyclic['{name}']")
-    active = [k for k in range(system.m) if k not in acting.cyclic and k not in acting.driven]
+        momenta[plan.cyclic.index(k)] = finite(value, f"cyclic['{name}']")
+    active = [k for k in range(system.m) if k not in plan.cyclic and k not in plan.driven]
     return Problem(
         system=system,
         scene=scene,
         kind="heavy" if heavy else "free" if group.turns == 3 else "axis",
         active=tuple(active),
-        cyclic=acting.cyclic,
-        driven=acting.driven,
+        cyclic=plan.cyclic,
+        driven=plan.driven,
         cyclic_momenta=momenta,
         driven_x=x,
         driven_rate=rate,

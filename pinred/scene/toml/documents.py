@@ -16,17 +16,19 @@ from ...system.loops.loop import SUFFIXES
 from ...system.robot_files import bundled_robots
 from ...system.system import System
 from ..scene_options import LOAD, RUN_OPTIONS, SCENE_OPTIONS, SWEEP, Option, list_conflicts
-from .file_place import Place, one_line, read_text
 from .schema import (
     Either,
     Flag,
     Key,
     ListOf,
     Number,
+    Place,
     Schema,
     Table,
     Text,
     document_schema,
+    one_line,
+    read_text,
     with_places,
 )
 

@@ -29,10 +29,15 @@ from ..input_formats import parse_control, parse_controls, parse_method
 from ..scene import ENGINES, Engine, Scene
 from ..stop import parse_stops, stop_of_table
 from .documents import FILE_OPTIONS, IMPACTS, SCENE, options_in, read_document, robot_in
-from .file_place import Place, naming, one_line, unknown
-from .force_kinds import FORCES
-from .parameter_tables import FileParameter, file_parameters, refuse_others, with_robot_parameters
-from .signal_tables import SignalReader
+from .schema import Place, naming, one_line, unknown
+from .value_tables import (
+    FORCES,
+    FileParameter,
+    SignalReader,
+    file_parameters,
+    refuse_others,
+    with_robot_parameters,
+)
 
 
 @dataclass(frozen=True)

@@ -3,32 +3,39 @@
 Code is generated from the bitcode that the package ships, and only if the object cache lacks it.
 Each `expect_…` function has the arguments of one kind of run in minimal sizes, because the code
 depends on their types only.
+
+Several threads generate one module, which is divided into parts.  The functions keep their
+instructions.  Functions that only their module could call become visible to the other parts; calls
+have the same instructions for both, because the code model of machine code in memory permits
+functions at any address.
 """
 
 from __future__ import annotations
 
+import llvmlite.binding as llvm
+import numpy as np
+import re
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
-
-import llvmlite.binding as llvm
-import numpy as np
-
 from ...common.arrays import read_only
-from ...common.compile_ahead import Part, spare_processors
-from ...common.machine_code import archive_of, create_machine, emit_object, parse_bitcode
+from ...common.compile_ahead import Part
+from ...common.compile_ahead import spare_processors
+from ...common.machine_code import archive_of
+from ...common.machine_code import create_machine
+from ...common.machine_code import emit_object
+from ...common.machine_code import parse_bitcode
 from ...integrators.integrate_many import checked_batch
-from ...integrators.methods.method import Explicit, Method, stepper_of
+from ...integrators.methods.method import Explicit
+from ...integrators.methods.method import Method
+from ...integrators.methods.method import stepper_of
 from ...integrators.stepping import shipped_code
-from ...integrators.stepping.call_wrapper import (
-    CallWrapper,
-    argument_type,
-    objects_are_as_expected,
-    plain_value,
-)
+from ...integrators.stepping.call_wrapper import CallWrapper
+from ...integrators.stepping.call_wrapper import argument_type
+from ...integrators.stepping.call_wrapper import objects_are_as_expected
+from ...integrators.stepping.call_wrapper import plain_value
 from ...integrators.stepping.run_state import new_run
 from ...integrators.stepping.state_rows import Replay
-from .divided_code import divide
 
 _LANES = 8  # members of a batch at once, unless the robot is small
 _requested: set[tuple[str, type[Method], int]] = set()  # kinds of calls, methods and their orders
@@ -43,10 +50,10 @@ def expect_integration(method: Method) -> None:
     if not _is_first("integration", method):
         return
     stepper = stepper_of(method)
-    none, rows = np.empty(0), np.empty((0, 1))
+    none, columns = np.empty(0), np.empty((0, 1))
     _expect(
         stepper.loops.advance, new_run(), read_only(none), stepper.work(1), read_only(none),
-        rows, none.copy(), rows,
+        columns, none.copy(), columns,
     )  # fmt: skip
 
 
@@ -79,8 +86,8 @@ def expect_tangents(method: Method, count: int) -> None:
     """
     if not _is_first(f"tangents {count == 1}", method):
         return
-    frozen, replay, row = read_only(np.empty((1, 1))), _replay(), np.empty((1, 1))
-    tangents = (row[0], row, row, row, np.empty((1, 1, 1)))
+    frozen, replay, matrix = read_only(np.empty((1, 1))), _replay(), np.empty((1, 1))
+    tangents = (matrix[0], matrix, matrix, matrix, np.empty((1, 1, 1)))
     if not isinstance(method, Explicit):
         from ...integrators.gauss import sensitivities as gauss
 
@@ -105,15 +112,15 @@ def expect_cotangents(method: Method) -> None:
     """
     if not _is_first("cotangents", method):
         return
-    row, frozen = np.empty((1, 1)), read_only(np.empty((1, 1)))
-    back = (frozen, row[0], row, row[0], row[0])
+    matrix, frozen = np.empty((1, 1)), read_only(np.empty((1, 1)))
+    back = (frozen, matrix[0], matrix, matrix[0], matrix[0])
     if isinstance(method, Explicit):
         from ...integrators.explicit.adjoint_sweep import adjoint_sweep_of
         from ...integrators.explicit.forward_sensitivities import weights_of
 
         tableau = type(method).tableau()
         (_, dense, _), adjoint = weights_of(tableau), adjoint_sweep_of(tableau)
-        _expect(adjoint.sweep, _replay(), 1, dense, back, adjoint.rows(1), row[0])
+        _expect(adjoint.sweep, _replay(), 1, dense, back, adjoint.rows(1), matrix[0])
     else:
         from ...integrators.gauss.sensitivities import reverse, sensitivity_rows
 
@@ -141,19 +148,19 @@ def _is_first(call: str, method: Method) -> bool:
 
 
 def _replay() -> Replay:
-    row = read_only(np.empty(1))
-    return 1, (0, 0), row, row, row
+    numbers = read_only(np.empty(1))
+    return 1, (0, 0), numbers, numbers, numbers
 
 
 def _expect(function: Any, *arguments: Any) -> None:
     """Let other threads generate the code of a function for arguments of these types."""
     types = tuple(map(argument_type, map(plain_value, arguments)))
-    known = tuple(kind for kind in types if kind is not None)
+    supported = tuple(t for t in types if t is not None)
     # Code in memory is not generated again, even if no cache could store it.
-    if len(known) < len(types) or function.has_code(known):
+    if len(supported) < len(types) or function.has_code(supported):
         return
     python = function.py_func
-    name = shipped_code.shipped_name(python, known, function.stamp)
+    name = shipped_code.shipped_name(python, supported, function.stamp)
     if not (shipped_code.is_shipped(name) and objects_are_as_expected()):
         return
     result = ""
@@ -162,7 +169,7 @@ def _expect(function: Any, *arguments: Any) -> None:
         nonlocal result
         bitcode = shipped_code.read_shipped(name)
         result, context = bitcode.result, llvm.create_context()
-        wrapper = CallWrapper(python.__name__, known, result)
+        wrapper = CallWrapper(python.__name__, supported, result)
         module = parse_bitcode(bitcode.module, context)
         shipped_code.check_parameters(wrapper, module)
         texts = [*divide(module), wrapper.text]
@@ -183,3 +190,50 @@ def _generate(text: str) -> bytes:
     code = emit_object(create_machine(shipped_code.LEVEL), module)
     module.close()  # before its context is deleted
     return code
+
+
+# Length of a part's text above which it gets no further function.  A part takes some milliseconds
+# besides the time for its functions, which is about a second per megabyte of text.
+_LENGTH = 100_000
+
+
+def divide(module: llvm.ModuleRef) -> list[str]:
+    """Return LLVM assembly of parts of a module, the longest first.
+
+    Constants are part of all parts.
+
+    Args:
+        module: The module, whose functions are renamed. Its global variables are constants.
+    Returns:
+        The parts; no function belongs to two of them.
+    """
+    for k, function in enumerate(f for f in module.functions if not f.is_declaration):
+        if function.linkage in (llvm.Linkage.internal, llvm.Linkage.private):
+            function.name = f"part_{k}"
+            function.linkage, function.visibility = "external", "hidden"
+    # A module is global values, definitions that each start and end at the start of a line,
+    # and attributes.
+    shared, *definitions = re.split(r"^(?=define )", str(module), flags=re.MULTILINE)
+    functions = []
+    for definition in definitions:
+        end = definition.index("\n}\n") + 3
+        functions.append(definition[:end])
+        shared += definition[end:]
+    declared = ["declare" + f[len("define") : f.index(" {\n")] + "\n" for f in functions]
+    return [
+        shared + "".join(functions[k] if k in group else declared[k] for k in range(len(functions)))
+        for group in _groups([len(function) for function in functions])
+    ]
+
+
+def _groups(lengths: list[int]) -> list[set[int]]:
+    """Return indices of functions that are parts together, the longest part first."""
+    groups: list[set[int]] = []
+    length = _LENGTH
+    for k in sorted(range(len(lengths)), key=lambda k: -lengths[k]):
+        if length >= _LENGTH:
+            groups.append(set())
+            length = 0
+        groups[-1].add(k)
+        length += lengths[k]
+    return groups

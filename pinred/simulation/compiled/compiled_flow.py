@@ -7,50 +7,63 @@ structure, the indices of these copies are therefore computed once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import numpy as np
+from collections.abc import Callable
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 from weakref import ref
-
-import numpy as np
-
-from ...common.arrays import Array, read_only
+from ...common.arrays import Array
+from ...common.arrays import read_only
 from ...common.compile_ahead import available_processors
-from ...common.errors import InputError, UnsupportedOperationError
-from ...common.memo import once, recent
+from ...common.errors import InputError
+from ...common.errors import UnsupportedOperationError
+from ...common.memo import once
+from ...common.memo import recent
 from ...forces.force_model import ForceModel
-from ...forces.force_numbers import BaseInSpace, SpanNumbers
+from ...forces.force_numbers import BaseInSpace
+from ...forces.force_numbers import SpanNumbers
 from ...forces.switch_times import time_within
 from ...integrators.methods import Method
 from ...integrators.stepping.compiling import compiled
 from ...kernels.build import build_kernel
 from ...kernels.closing_code import with_multipliers
-from ...kernels.derived_code import tangent_of, wide_rate
-from ...kernels.evaluate import evaluate, evaluate_row, evaluate_runs
-from ...kernels.initial_conditions import (
-    InitialConditions,
-    InitialConditionsKernel,
-    initial_conditions_kernel,
-)
-from ...kernels.kernel import Kernel, Layout, in_given_order
-from ...reduction.base_parts import into_body, root_of
+from ...kernels.derived_code import tangent_of
+from ...kernels.derived_code import wide_rate
+from ...kernels.evaluate import evaluate
+from ...kernels.evaluate import evaluate_row
+from ...kernels.evaluate import evaluate_runs
+from ...kernels.initial_conditions import InitialConditions
+from ...kernels.initial_conditions import InitialConditionsKernel
+from ...kernels.initial_conditions import initial_conditions_kernel
+from ...kernels.kernel import Kernel
+from ...kernels.kernel import Layout
+from ...kernels.kernel import in_given_order
+from ...reduction.base_parts import into_body
+from ...reduction.base_parts import root_of
 from ...reduction.tree.free_bodies import free_numbers
-from ...scene.initial_state import GivenStates, finite_start
+from ...scene.initial_state import GivenStates
+from ...scene.initial_state import finite_start
 from ...system.coordinates import Indices
-from ...system.state_fields import ShapeState, State
-from ...system.system import System, nominal
-from ..plan import NO_DIFFERENCES, MemberParameters, Plan
-from ..reduced_flow import Sample, entry_name
-
+from ...system.state_fields import ShapeState
+from ...system.state_fields import State
+from ...system.system import System
+from ...system.system import nominal
+from ..plan import NO_DIFFERENCES
+from ..plan import MemberParameters
+from ..plan import Plan
+from ..reduced_flow import Sample
+from ..reduced_flow import entry_name
 
 @dataclass(frozen=True)
 class Constants:
     """Numbers of a flow that do not depend on the initial state, (…) or (N, …).
 
     Attributes:
-        gravity: Gravity, as in Acting, (…, 3) [m/s²].
+        gravity: Gravity, as in Plan, (…, 3) [m/s²].
         fall: Acceleration of the centre of mass in free fall, (…, k) [m/s²].
         bodies: Variable body parameters, (…, s).
         numbers: Force parameters, (…, p).
@@ -173,11 +186,11 @@ def prepare_start(
     states, down = GivenStates(pose, x, xdot, motion, None), np.empty((1, 0))
     arrays = assemble(layout, states, outputs, Constants(**shared), down)
     values = np.concatenate([np.zeros(1), *vars(constants).values()])
-    whole = np.concatenate(arrays, axis=1)
-    if not (np.isin(whole, np.arange(count + conditions.size))).all():
+    entries = np.concatenate(arrays, axis=1)
+    if not (np.isin(entries, np.arange(count + conditions.size))).all():
         return None
     ends = arrays[0].shape[1], arrays[0].shape[1] + arrays[1].shape[1]
-    prepared = PreparedStart(ref(kernel), values, whole[0].astype(np.intp), ends)
+    prepared = PreparedStart(ref(kernel), values, entries[0].astype(np.intp), ends)
     return prepared if _are_copies(prepared, layout, given, conditions, constants) else None
 
 
@@ -235,14 +248,14 @@ class CompiledFlow:
             plan: The plan.
             all_momenta: Whether constant momenta of symmetric balls are integrated, too.
         """
-        given, shared = plan.scene.given, plan.scene.shared
-        of_twist = given.mu is None
+        initial, shared = plan.scene.given, plan.scene.shared
+        of_twist = initial.mu is None
         conditions = once(
             shared,
             (InitialConditionsKernel, of_twist),
-            lambda: _conditions_kernel(plan, given, NO_DIFFERENCES),
+            lambda: _conditions_kernel(plan, initial, NO_DIFFERENCES),
         )
-        state = np.concatenate([given.pose, given.x, given.xdot, given.motion], axis=1)
+        state = np.concatenate([initial.pose, initial.x, initial.xdot, initial.motion], axis=1)
         values = np.empty((1, conditions.size))
         evaluate_row(conditions.code.address, conditions.own_numbers[None], state, values)
         zero = not any(values[0, conditions.about].tolist())
@@ -250,7 +263,7 @@ class CompiledFlow:
         def make() -> PreparedStart | None:
             flow_kernel = kernel_of(plan, zero_momentum=zero, all_momenta=all_momenta)
             constants = _constants(plan, NO_DIFFERENCES, flow_kernel)
-            return prepare_start(flow_kernel, given, conditions, constants)
+            return prepare_start(flow_kernel, initial, conditions, constants)
 
         key = PreparedStart, type(plan.method), zero, of_twist, all_momenta
         prepared = once(shared, key, make)
@@ -259,7 +272,7 @@ class CompiledFlow:
             flow_kernel = kernel_of(plan, zero_momentum=zero, all_momenta=all_momenta)
         if prepared is None:
             start = conditions.split(values)
-            return _set_up(plan, given, start, NO_DIFFERENCES, flow_kernel)[0]
+            return _set_up(plan, initial, start, NO_DIFFERENCES, flow_kernel)[0]
         return cls(flow_kernel, _tables_of(plan), *prepared.start(state[0], values[0]))
 
     def __getitem__(self, members: object) -> CompiledFlow:
@@ -369,9 +382,9 @@ class CompiledFlow:
 
     def parameters_within(self, within: Array) -> Array:
         """Return a row of parameters for each time `within` a span (S,), (S, p)."""
-        rows = np.repeat(self.parameters[None], len(within), axis=0)
-        self._set_span(rows, within)
-        return read_only(rows)
+        parameters = np.repeat(self.parameters[None], len(within), axis=0)
+        self._set_span(parameters, within)
+        return read_only(parameters)
 
     def _set_span(self, parameters: Array, within: float | Array) -> None:
         """Write the numbers that change from span to span; `within` is a time in each span [s]."""
@@ -537,7 +550,7 @@ def kernel_of(
     structure = plan.structure(
         zero_momentum=zero_momentum, generic=generic, all_momenta=all_momenta
     )
-    system, forces = plan.acting.system, plan.acting.forces
+    system, forces = plan.system, plan.forces
     # Texts have cached hashes, unlike structures.
     key = once(structure, Kernel, lambda: repr((structure, None if forces is None else forces.key)))
     # Parameters are inputs of a kernel, so robots that differ only in parameters share it.
@@ -692,7 +705,7 @@ def _in_parts(count: int, threads: int | None, act: Callable[[slice], None]) -> 
 def has_no_momentum(plan: Plan) -> bool:
     """Return whether the angular momentum of a plan is zero and stays zero."""
     start = _initial_conditions(plan, plan.scene.given, NO_DIFFERENCES)
-    return not plan.acting.momentum_changes and not start.about.any()
+    return not plan.momentum_changes and not start.about.any()
 
 
 def _initial_conditions(plan: Plan, given: GivenStates, own: MemberParameters) -> InitialConditions:
@@ -703,8 +716,8 @@ def _initial_conditions(plan: Plan, given: GivenStates, own: MemberParameters) -
 def _conditions_kernel(
     plan: Plan, given: GivenStates, own: MemberParameters
 ) -> InitialConditionsKernel:
-    freed = plan.freed(generic=own.robot is not None)
-    return initial_conditions_kernel(plan.system, "xi" if given.mu is None else "mu", freed)
+    variables = plan.freed(generic=own.robot is not None)
+    return initial_conditions_kernel(plan.system, "xi" if given.mu is None else "mu", variables)
 
 
 def _set_up(
@@ -734,16 +747,16 @@ def _constants(plan: Plan, own: MemberParameters, kernel: Kernel) -> Constants:
         )
     gravity, fall = own.gravity, own.fall
     if gravity is None or fall is None:
-        gravity, fall = plan.acting.gravity, root_of(plan.system).g
-    freed = kernel.layout.freed
-    bodies = free_numbers(plan.system, freed) if own.robot is None else own.robot
+        gravity, fall = plan.gravity, root_of(plan.system).g
+    variables = kernel.layout.freed
+    bodies = free_numbers(plan.system, variables) if own.robot is None else own.robot
     numbers = plan.numbers if own.numbers is None else own.numbers
     return Constants(gravity, fall, bodies, numbers)
 
 
 def _down(plan: Plan, attitude: Array, own: MemberParameters) -> Array:
     """Return the directions (N, 3), in the body frame, of the weight of pivoted bases."""
-    weight = plan.acting.weight
+    weight = plan.weight
     if own.gravity is None:
         return into_body(attitude, weight / np.linalg.norm(weight))
     units = own.gravity / np.linalg.norm(own.gravity, axis=1)[:, None]

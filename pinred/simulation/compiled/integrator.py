@@ -7,43 +7,51 @@ pause of a long run after another, integrated again from its start.
 
 from __future__ import annotations
 
+import numpy as np
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cached_property, partial
-from typing import Any, NamedTuple
+from functools import cached_property
+from functools import partial
+from typing import Any
+from typing import NamedTuple
 from weakref import ref
-
-import numpy as np
-
-from ...common.arrays import Array, read_only
-from ...common.errors import (
-    IntegrationError,
-    NoConvergence,
-    NonFiniteState,
-    StepSizeUnderflow,
-    TooManySteps,
-)
+from ...common.arrays import Array
+from ...common.arrays import read_only
+from ...common.errors import IntegrationError
+from ...common.errors import NoConvergence
+from ...common.errors import NonFiniteState
+from ...common.errors import StepSizeUnderflow
+from ...common.errors import TooManySteps
 from ...common.memo import once
 from ...common.names import quoted
 from ...common.waiting import Progress
 from ...forces.switch_times import time_within
-from ...integrators.integrate import Integration, Parts, integrate_parts
-from ...integrators.methods import EqualSteps, ErrorControl, Method
+from ...integrators.integrate import Integration
+from ...integrators.integrate import Parts
+from ...integrators.integrate import integrate_parts
+from ...integrators.methods import EqualSteps
+from ...integrators.methods import ErrorControl
+from ...integrators.methods import Method
 from ...integrators.methods.method import registers_of
-from ...integrators.solution import RunKeeper, Solution
-from ...integrators.thinned_run import MOST_COPIES, ThinnedIntegration, ThinnedSolution
+from ...integrators.solution import RunKeeper
+from ...integrators.solution import Solution
+from ...integrators.thinned_run import MOST_COPIES
+from ...integrators.thinned_run import ThinnedIntegration
+from ...integrators.thinned_run import ThinnedSolution
 from ...kernels.derived_code import tangent_of
 from ...kernels.kernel import Kernel
 from ...reduction.canonical_form import lost_inertia
 from ...scene.scene import Scene
-from ..checkpoint import Checkpoint, Part, RunRecord
+from ..checkpoint import RunRecord
 from ..closed_loops import near_singular_loops
 from ..motion import Segments
 from ..plan import Plan
-from ..reduced_flow import Integrate, Segment
-from ..trajectory import Again, Trajectory, integrate_plan
+from ..reduced_flow import Integrate
+from ..reduced_flow import Segment
 from .compiled_flow import CompiledFlow
-
+from ..motion import Motion
+from ..motion import Solver
+from ..motion import follow
 
 class _Shared(NamedTuple):
     """The integration of a structure with a kernel, which it does not keep alive."""
@@ -69,8 +77,7 @@ _NO_TIMES = read_only(np.empty(0))
 def integrator(
     flow: CompiledFlow,
     plan: Plan,
-    progress: Callable[[float], None] | None,
-    *,
+    progress: Progress | None,
     chunk: int | None = None,
 ) -> Integrate:
     """Return the function that integrates a compiled flow from one time of its plan to another.
@@ -104,14 +111,14 @@ def integrator(
     def whole() -> Integration:
         """Return the integration over the whole time, which scenes of one structure share."""
         shared: dict[int, _Shared] = once(scene.shared, Integration, dict)
-        found = shared.get(id(flow.kernel))
-        if found is None or found.kernel() is not flow.kernel or found.method != method:
-            for dropped in [k for k, each in list(shared.items()) if each.kernel() is None]:
+        entry = shared.get(id(flow.kernel))
+        if entry is None or entry.kernel() is not flow.kernel or entry.method != method:
+            for dropped in [k for k, old in list(shared.items()) if old.kernel() is None]:
                 shared.pop(dropped, None)
             kernel = ref(flow.kernel)
             integration = prepare(scene.end, scene.report_times, partial(_tangent_of, kernel))
-            found = shared[id(flow.kernel)] = _Shared(kernel, method, integration)
-        return found.integration
+            entry = shared[id(flow.kernel)] = _Shared(kernel, method, integration)
+        return entry.integration
 
     def run(
         start: float,
@@ -192,9 +199,9 @@ def wild_steps(kernel: Kernel, plan: Plan, states: Array, times: Array) -> str:
     ends = np.unique(np.searchsorted(times, np.arange(0.0, times[-1], step)))
     ends = np.append(ends[ends < len(times) - 1], len(times) - 1)
     steps = np.maximum(np.diff(times[ends]) / step, 1.0)
-    turned = np.abs(np.diff(states[ends, : len(active)], axis=0)) / steps[:, None]
+    rotations = np.abs(np.diff(states[ends, : len(active)], axis=0)) / steps[:, None]
     names, units = plan.system.shape_names, plan.system.units
-    for k, most in zip(active, turned.max(axis=0, initial=0.0), strict=True):
+    for k, most in zip(active, rotations.max(axis=0, initial=0.0), strict=True):
         if units[k] == "rad" and not most < _WILD:
             return (
                 f"joint {quoted(names[k])} of '{plan.system.name}' rotates by {most:.1e} rad "
@@ -247,13 +254,13 @@ _methods_through_stops: set[type[ErrorControl]] = set()
 
 
 def through_stops(
-    flow: CompiledFlow, plan: Plan, progress: Callable[[float], None] | None
+    flow: CompiledFlow, plan: Plan, progress: Progress | None
 ) -> Callable[[], Segments] | None:
     """Return the function that integrates a flow through all stops of its plan.
 
     Args:
         flow: The flow of the plan.
-        plan: The plan, for which `passes_stops` is true.
+        plan: The plan, with several stops and without controllers and events.
         progress: Called repeatedly with the completed fraction of the stops, 0 to 1.
     Returns:
         The function; None for methods without step control, whose steps depend on each span.
@@ -330,30 +337,6 @@ STORED_BYTES = 1 << 23
 FEW = 4  # Step ends are stored if there are fewer of them per report time.
 
 
-def thinned(
-    flow: CompiledFlow,
-    plan: Plan,
-    method: EqualSteps,
-    progress: Callable[[float], None] | None,
-    record: RunRecord | None = None,
-) -> Callable[[], Segments] | None:
-    """Return the function that integrates a flow and stores the states at report times only.
-
-    Args:
-        flow: The flow of the plan.
-        plan: The plan.
-        method: The method of the plan.
-        progress: Called repeatedly with the completed fraction of the time, 0 to 1.
-        record: Record of the run in a checkpoint, from which it continues; or None.
-    Returns:
-        The function; None for short runs, runs with many report times, and runs with events or
-        controllers, see `long_integrator`.
-    """
-    if plan.is_observed or not stores_few(flow, plan, method):
-        return None
-    return lambda: _integrate_thinned(flow, plan, method, progress, record)
-
-
 def stores_few(flow: CompiledFlow, plan: Plan, method: EqualSteps) -> bool:
     """Return whether the step ends of a plan take much memory, and few times are reported."""
     steps = sum(registers_of(method, span.stop - span.start)["total"] for span in plan.spans)
@@ -374,121 +357,25 @@ def wild_check(flow: CompiledFlow, plan: Plan) -> Callable[[Array, Array], None]
     return look
 
 
-def _integrate_thinned(
-    flow: CompiledFlow,
-    plan: Plan,
-    method: EqualSteps,
-    progress: Callable[[float], None] | None,
-    record: RunRecord | None,
-) -> ThinnedSegments:
-    scene, kernel = plan.scene, flow.kernel
-    y0 = flow.y0 if flow.y0.size else np.zeros(1)
-    reported, solutions = np.empty((len(scene.report_times), len(y0))), []
-    address, look = flow.address(method), wild_check(flow, plan)
-
-    for span in plan.spans:
-        length, start = span.stop - span.start, span.start
-        params = flow.parameters_within(np.array([time_within(start, span.stop)]))[0]
-
-        def done(part: float, start: float = start, length: float = length) -> None:
-            if progress is not None:
-                progress((start + part * length) / scene.end)
-
-        integration = ThinnedIntegration(
-            method, address, len(y0), length, kernel.layout.quaternions, kernel.canonical,
-            flow.tangent,
-        )  # fmt: skip
-        times = read_only(np.append(span.times.clip(0.0, length), length))
-        if record is not None:
-            saved = {part.start: part for part in (*record.finished, record.current) if part}
-            record.begin(saved.get(start) or Part(start, span.stop, y0, params))
-        try:
-            solution = integration(params, y0, times, done, look, record)
-        except IntegrationError as stop:
-            raise explained(stop, flow, scene, start, params) from None
-        reported[span.rows], y0 = solution.y[:-1], solution.y[-1]
-        solutions.append(solution)
-    return ThinnedSegments(plan, solutions, read_only(reported))
-
-
-class ThinnedSegments(Segments):
-    """The segments of a long run: the times between copies of the run; see thinned_run.py."""
-
-    def __init__(self, plan: Plan, solutions: list[ThinnedSolution], reported: Array) -> None:
-        """Store the solutions.
-
-        Args:
-            plan: The plan, with as many spans as solutions.
-            solutions: Solutions of the spans.
-            reported: Reduced states at the report times of the scene, (T, k).
-        """
-        self._reported, self._times = reported, plan.scene.report_times
-        self._divisions, self._spans = plan.divisions, plan.spans
-        self._parts = [
-            (span, solution, k)
-            for span, solution in zip(plan.spans, solutions, strict=True)
-            for k in range(len(solution.copies) - 1)
-        ]
-        self.ends = np.array([self._end(j) for j in range(len(self._parts))])
-        last = [solution.copies[-1] for solution in solutions]
-        self.steps = sum(copy.steps for copy in last)
-        self.evaluations = sum(copy.evaluations for copy in last)
-
-    def _end(self, j: int) -> float:
-        span, solution, k = self._parts[j]
-        last = k == len(solution.copies) - 2
-        return span.stop if last else span.start + solution.copies[k + 1].time
-
-    def reported(self, t: Array) -> Array | None:
-        """Return the stored reduced states (T, k) if `t` is the array of report times."""
-        return self._reported if t is self._times else None
-
-    def __getitem__(self, j: int | slice) -> Segment | list[Segment]:  # type: ignore[override]
-        if isinstance(j, slice):
-            return [self._segment(i) for i in range(*j.indices(len(self)))]
-        return self._segment(range(len(self))[j])
-
-    def _segment(self, j: int) -> Segment:
-        span, solution, k = self._parts[j]
-        first, last = solution.copies[k : k + 2]
-        end = float(self.ends[j])
-
-        def step_ends() -> Array:
-            knots = refined(solution.step_ends(k) + span.start, self._divisions)
-            knots[-1] = end
-            return knots
-
-        def at(t: Array) -> Array:
-            return solution.at(k, np.clip(t - span.start, first.time, last.time))
-
-        counts = last.steps - first.steps, last.evaluations - first.evaluations
-        return Segment(end, step_ends, at, solution.params, *counts)
-
-
 # Step ends of shorter segments are stored; a copy of a run takes as much memory as some steps.
 _LEAST_STEPS = 64
 
 
 def long_integrator(
-    flow: CompiledFlow,
-    plan: Plan,
-    method: EqualSteps,
-    integrate: Integrate,
-    progress: Callable[[float], None] | None,
+    flow: CompiledFlow, plan: Plan, integrate: Integrate, progress: Progress | None
 ) -> Integrate | None:
     """Return a function that integrates from stop to stop and stores few states.
 
     Args:
         flow: The flow of the plan.
         plan: The plan.
-        method: The method of the plan.
         integrate: The function that stores all step ends, for short segments.
         progress: Called repeatedly with the completed fraction of the time, 0 to 1.
     Returns:
-        The function; None if all step ends take little memory.
+        The function; None if the method has step control, or all step ends take little memory.
     """
-    scene = plan.scene
-    if not stores_few(flow, plan, method):
+    scene, method = plan.scene, plan.method
+    if not (isinstance(method, EqualSteps) and stores_few(flow, plan, method)):
         return None
     kernel, address, look = flow.kernel, flow.address(method), wild_check(flow, plan)
     divisions = plan.divisions
@@ -512,10 +399,10 @@ def long_integrator(
             flow.tangent,
         )  # fmt: skip
         times = read_only(np.append((reports - start).clip(0.0, length), length))
-        known = np.append(reports, end)
+        reported = np.append(reports, end)
 
         def segment(solution: ThinnedSolution) -> Segment:
-            return _long_segment(solution, start, length, known, divisions)
+            return _long_segment(solution, start, length, reported, divisions)
 
         try:
             solution = integration(
@@ -548,52 +435,35 @@ def _long_segment(
     count = len(solution.y)
 
     def step_ends() -> Array:
-        parts = [solution.step_ends(k) for k in range(len(solution.copies) - 1)]
-        knots = refined(np.concatenate([parts[0], *[p[1:] for p in parts[1:]]]) + start, divisions)
+        ends = [solution.step_ends(k) for k in range(len(solution.copies) - 1)]
+        knots = refined(np.concatenate([ends[0], *[p[1:] for p in ends[1:]]]) + start, divisions)
         knots[-1] = end
         return knots
 
     def at(t: Array) -> Array:
         if count:
-            rows = np.minimum(np.searchsorted(known[:count], t), count - 1)
-            if (known[rows] == t).all():
-                return np.asarray(solution.y[rows])
+            indices = np.minimum(np.searchsorted(known[:count], t), count - 1)
+            if (known[indices] == t).all():
+                return np.asarray(solution.y[indices])
         return solution.anywhere(np.clip(t - start, first.time, last.time))
 
     steps, evaluations = last.steps - first.steps, last.evaluations - first.evaluations
     return Segment(end, step_ends, at, solution.params, steps, evaluations)
 
 
-def run_compiled(
-    plan: Plan, progress: Progress | None, again: Again, checkpoint: Checkpoint | None = None
-) -> Trajectory:
-    """Return the trajectory of a plan, integrated with machine code.
+def compiled_solver(plan: Plan) -> Solver:
+    """Return the compiled engine for a plan."""
+    return Solver(plan.method_name, plan.method.order, CompiledFlow.of_plan, integrator, _motion)
 
-    Args:
-        plan: The plan.
-        progress: Called repeatedly with the completed fraction of the time, 0 to 1.
-        again: Function that simulates the scene again; see Trajectory.
-        checkpoint: Checkpoint that the run continues and updates; or None.
-    Returns:
-        The trajectory.
-    Raises:
-        IntegrationError: The integrator cannot continue.
-    """
-    flow = CompiledFlow.of_plan(plan)
-    record = None if checkpoint is None else checkpoint.run(flow, plan)
-    method, through, long = plan.method, None, None
-    if isinstance(method, EqualSteps):
-        through = thinned(flow, plan, method, progress, record)
-    if through is None and plan.passes_stops and record is None:
+
+def _motion(
+    flow: CompiledFlow, plan: Plan, progress: Progress | None, record: RunRecord | None
+) -> Callable[[], Motion]:
+    """Return the function that integrates a plan: through all stops, or from stop to stop."""
+    if len(plan.stops) > 1 and not plan.is_observed and record is None:
         through = through_stops(flow, plan, progress)
+        if through is not None:
+            return lambda: Motion(flow, through(), varies=bool(plan.driven))
     integrate = integrator(flow, plan, progress)
-    if isinstance(method, EqualSteps) and through is None:
-        long = long_integrator(flow, plan, method, integrate, progress)
-    integrate = long or integrate
-    trajectory = integrate_plan(
-        plan, flow, integrate, "compiled", plan.method_name, again, through, record,
-        thinned=long is not None,
-    )  # fmt: skip
-    if checkpoint is not None and record is not None:
-        checkpoint.close(record, flow, plan, cut=trajectory.ended_by is not None)
-    return trajectory
+    long = long_integrator(flow, plan, integrate, progress)
+    return partial(follow, plan, flow, long or integrate, record, thinned=long is not None)

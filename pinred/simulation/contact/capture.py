@@ -1,4 +1,4 @@
-"""capture() and release(): two systems become one by a plastic impact, and one becomes two.
+"""capture(), release() and land(): systems that are joined, parted or stopped by an impact.
 
 At a capture, two frames that coincide are fixed to each other.  The velocities of the joined robot
 are a subspace, v = J v⁺, of those of both.  The impulse of the new joint does no work on them, so
@@ -9,40 +9,61 @@ the momentum is pulled back to this subspace:
 The sum of the spatial momenta is kept exactly, and the energy ½ |v⁻ − J v⁺|²_H is lost (Carnot).
 With closed loops, the columns of J span the velocities that keep all loops closed.
 A release is the inverse without impulse.
+
+At a landing, frames of a robot stop dead at the ground.  A point contact stops the three velocities
+of a frame's origin, a flat contact its whole twist J v.  The impulse of the ground acts on these
+rows only and changes the velocities to the nearest ones, in the metric of the kinetic energy, at
+which they stand still:
+
+    v⁺ = v⁻ − H⁻¹ Jᵀ (J H⁻¹ Jᵀ)⁻¹ J v⁻.
+
+The impulse is external: the momentum jumps by it.  The symmetry group shrinks to the motions that
+keep the contact: rotations about a point, and nothing for a flat foot.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, TypeAlias
-
 import numpy as np
 import pinocchio as pin
-
+from dataclasses import dataclass
+from typing import Any
+from typing import TypeAlias
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array, positive
+from ...common.arrays import Array
+from ...common.arrays import positive
 from ...common.errors import InputError
 from ...common.names import quoted
 from ...reduction.pointwise_reduction import mass_matrix_at
-from ...scene.scene import Scene, scene_of
-from ...system.assembly import renamed, reversed_balls, take_apart
-from ...system.derived_systems import (
-    Instant,
-    Moving,
-    Place,
-    carry_state,
-    cut,
-    free_prefix,
-    join,
-    place_of,
-    placements,
-    same_motions,
-)
+from ...scene.scene import Scene
+from ...scene.scene import scene_of
+from ...system.assembly import renamed
+from ...system.assembly import reversed_balls
+from ...system.assembly import take_apart
+from ...system.derived_systems import Instant
+from ...system.derived_systems import Moving
+from ...system.derived_systems import Place
+from ...system.derived_systems import carry_state
+from ...system.derived_systems import cut
+from ...system.derived_systems import free_prefix
+from ...system.derived_systems import join
+from ...system.derived_systems import place_of
+from ...system.derived_systems import placements
+from ...system.derived_systems import same_motions
 from ...system.joints import axes_of
 from ...system.loops.kinematics import loop_jacobian
-from ...system.system import System, checked_system
+from ...system.system import System
+from ...system.system import checked_system
 from ..over_time import OverTime
 from ..trajectory import Trajectory
+from collections.abc import Sequence
+from typing import Literal
+from ...common.arrays import entries_of
+from ...common.names import brief
+from ...common.names import listed
+from ...common.names import one_of
+from ...reduction.symbolic_placements import up_of
+from ...system.derived_systems import Pivot
+from ...system.derived_systems import stand
 
 MEETING = 1e-6  # default largest distance of the frames that a capture joins [m], [rad]
 
@@ -127,14 +148,14 @@ class Capture(_AfterImpact):
 
     def __str__(self) -> str:
         names = ", ".join(self.system.group.momentum_names)
-        rows = [
+        lines = [
             ("impulse on the first [N·s | N·m·s]", in_words(self.impulse)),
             ("energy lost [J]", f"{self.energy_lost:.6g} of {self.energy_before:.6g}"),
             (f"momenta before ({names})", in_words(self.momentum_before)),
             ("momentum after", in_words(self.momentum)),
         ]
         head = f"{self.a.name} captures {self.b.name}: {self.onto} fixed to {self.at}"
-        return "\n".join([head, *(f"  {name:<42} {value}" for name, value in rows)])
+        return "\n".join([head, *(f"  {name:<42} {value}" for name, value in lines)])
 
 
 @checks_arguments
@@ -202,8 +223,10 @@ def capture(
     v = N @ np.linalg.solve(N.T @ H @ N, N.T @ (J_a.T @ p_a + J_b.T @ p_b))
     lost_a, lost_b = v_a - J_a @ v, v_b - J_b @ v
     r = A.r
-    rows = jacobian(A, first, before_a)[:, :r]
-    impulse = rows @ np.linalg.solve(rows.T @ rows, -(H_a @ lost_a)[:r])
+    jacobian_of_base = jacobian(A, first, before_a)[:, :r]
+    impulse = jacobian_of_base @ np.linalg.solve(
+        jacobian_of_base.T @ jacobian_of_base, -(H_a @ lost_a)[:r]
+    )
     momentum_a = A.group.spatial_momentum(before_a.pose, p_a[:r])
     momentum_b = _in_root_of(A, B, B.group.spatial_momentum(before_b.pose, p_b[:r]))
     return Capture(
@@ -284,11 +307,11 @@ def closed_velocities(system: System, x: Array) -> Array:
     """Return a basis of the velocities (ξ, ẋ) that keep all loops closed at shape x, (n, k)."""
     if system.closure is None:
         return np.eye(system.n)
-    rows = loop_jacobian(system, x)[system.closure.rows]
-    Q = np.linalg.qr(rows.T, mode="complete")[0]
-    basis = np.zeros((system.n, system.n - len(rows)))
+    gradients = loop_jacobian(system, x)[system.closure.rows]
+    Q = np.linalg.qr(gradients.T, mode="complete")[0]
+    basis = np.zeros((system.n, system.n - len(gradients)))
     basis[: system.r, : system.r] = np.eye(system.r)
-    basis[system.r :, system.r :] = Q[:, len(rows) :]
+    basis[system.r :, system.r :] = Q[:, len(gradients) :]
     return basis
 
 
@@ -315,7 +338,7 @@ def _embedding(
     r, n = A.r, joined.n
     J_a, J_b = np.zeros((A.n, n)), np.zeros((B.n, n))
     J_a[:r, :r] = np.eye(r)
-    turned = reversed_balls(renamed(take_apart(B), prefix), take_apart(joined))
+    reversed_ones = reversed_balls(renamed(take_apart(B), prefix), take_apart(joined))
     slots = {joint.name: joint for joint in joined.space.joints}
     for joint in A.space.joints:
         new = slots[joint.name].v
@@ -323,7 +346,7 @@ def _embedding(
     for joint in B.space.joints:
         name = prefix + joint.name
         block = np.eye(joint.kind.m)
-        if name in turned:  # σ = −R(x)ᵀ σ' for the rate σ' of the reversed ball
+        if name in reversed_ones:  # σ = −R(x)ᵀ σ' for the rate σ' of the reversed ball
             block = -pin.Quaternion(states[1].x[joint.x]).matrix().T
         J_b[r:][joint.v, r:][:, slots[name].v] = block
     # The frames move alike: rows_b (ξ_b, ẋ_b) = offset⁻¹ rows_a (ξ_a, ẋ_a).
@@ -373,14 +396,14 @@ class Release:
     released: Released
 
     def __str__(self) -> str:
-        rows = [f"{self.whole.name} opens at {self.link}"]
-        for part in (self.carrier, self.released):
-            system = part.system
-            rows.append(
+        lines = [f"{self.whole.name} opens at {self.link}"]
+        for body in (self.carrier, self.released):
+            system = body.system
+            lines.append(
                 f"  {system.name:<42} {system.mass:.6g} kg, {system.group.name} x "
-                f"{system.m} joints, xi = {in_words(part.instant.xi)}"
+                f"{system.m} joints, xi = {in_words(body.instant.xi)}"
             )
-        return "\n".join(rows)
+        return "\n".join(lines)
 
     def __repr__(self) -> str:
         return (
@@ -404,8 +427,198 @@ def release(state: Moment, link: str, *, root: str = "") -> Release:
             or the part cannot float on its own.
     """
     system, before = moment_of(state, "release")
-    parts = [cut(system, link=link, part=part, root=root if part else "") for part in (0, 1)]
+    systems = [cut(system, link=link, part=part, root=root if part else "") for part in (0, 1)]
     carrier, released = (
-        Released(part, carry_state([Moving(system, before)], part)) for part in parts
+        Released(cut_off, carry_state([Moving(system, before)], cut_off)) for cut_off in systems
     )
     return Release(system, before, link, carrier, released)
+
+
+Contact: TypeAlias = Literal["point", "flat"]
+CONTACTS: tuple[Contact, ...] = ("point", "flat")
+_RANK = 1e-10  # smallest singular value of the contact rows, relative to the largest
+_ALONG = 1e-9  # largest part of gravity across an axis that counts as round-off
+
+
+@checks_arguments
+@dataclass(frozen=True, eq=False)
+class Stance(_AfterImpact):
+    """A robot that turns about the point on which it has landed.
+
+    Attributes:
+        system: The same tree with its root at the foot.
+        instant: Its state after the impact: pose, x, xdot and xi.
+    """
+
+
+@checks_arguments
+@dataclass(frozen=True, eq=False)
+class Landing(_AfterImpact):
+    """A robot at the moment of its landing, and its velocities after the impact.
+
+    Attributes:
+        system: The robot that floats.
+        instant: Its state after the impact: pose, x, xdot and xi.
+        before: Its state before the impact.
+        frames: Frames that stop.
+        contact: "point" or "flat".
+        impulse: Impulse of the ground at the origin of each frame, in world axes: (k, 3) force
+            [N·s] of a point contact, (k, 6) with moment [N·m·s] of a flat one.
+        energy_before: Kinetic energy before the impact [J].
+        energy_lost: Energy that the impact takes [J].
+        momentum_before: Spatial momentum before the impact, (r,) [N·s; N·m·s].
+        momentum_jump: Change of the spatial momentum, (r,).
+        stance: The robot on its foot; None if pinred does not support its motion.
+        why_no_stance: Why there is no stance robot, and a way out; "" if there is one.
+    """
+
+    before: Instant
+    frames: tuple[str, ...]
+    contact: Literal["point", "flat"]
+    impulse: Array
+    energy_before: float
+    energy_lost: float
+    momentum_before: Array
+    momentum_jump: Array
+    stance: Stance | None
+    why_no_stance: str
+
+    @property
+    def pulled(self) -> tuple[str, ...]:
+        """Frames on which the impulse pulls towards the ground, which no free ground can do."""
+        up = up_of(self.system)
+        return tuple(
+            frame
+            for frame, wrench in zip(self.frames, self.impulse, strict=True)
+            if wrench[:3] @ up < 0.0
+        )
+
+    def __repr__(self) -> str:
+        frames = listed(list(self.frames), 4)
+        return (
+            f"<Landing of {self.system.name!r} on {frames} ({self.contact}): "
+            f"{self.energy_lost:.6g} of {self.energy_before:.6g} J lost>"
+        )
+
+    def __str__(self) -> str:
+        rows = [
+            (f"impulse on {frame} [N·s{' | N·m·s' * (len(row) > 3)}]", in_words(row))
+            for frame, row in zip(self.frames, self.impulse, strict=True)
+        ]  # fmt: skip
+        names = ", ".join(self.system.group.momentum_names)
+        rows += [
+            ("energy lost [J]", f"{self.energy_lost:.6g} of {self.energy_before:.6g}"),
+            (f"jump of the momentum ({names})", in_words(self.momentum_jump)),
+        ]
+        rows.append(("stance", repr(self.stance.system) if self.stance else self.why_no_stance))
+        lines = [f"  {name:<42} {value}" for name, value in rows]
+        lines += [
+            f"  the ground would pull at {frame}: it lifts off instead" for frame in self.pulled
+        ]
+        head = f"{self.system.name} lands on {listed(list(self.frames), 6)} ({self.contact})"
+        return "\n".join([head, *lines])
+
+
+@checks_arguments
+def land(
+    state: Moment,
+    frame: str | Sequence[str],
+    *,
+    contact: Literal["point", "flat"] = "point",
+    name: str = "",
+) -> Landing:
+    """Stop one or several frames of a robot dead, by the impulse of the ground.
+
+    Args:
+        state: The robot with its state: a Trajectory or Recording, whose last state counts; a
+            Scene, whose start counts; a Capture, a Landing, or a part of a Release.  An event with
+            the formula height['foot'] ends a flight where a foot meets the ground.
+        frame: Link or frame that stops, or several that stop at once.
+        contact: "point": the origin of the frame stops.  "flat": the frame stops turning, too.
+        name: Name of the stance robot; that of the robot with its foot by default.
+    Returns:
+        Velocities, impulse, energy and momentum, and the stance robot where its group is supported:
+        one point contact.  Without gravity the robot turns freely about it (SO3); under gravity
+        about the vertical (SO2), with two tilt angles as further joints; a planar one about its
+        normal (SO2), if gravity does not turn it.
+    Raises:
+        InputError: A frame is unknown or stated twice, or the contact is not valid.
+    """
+    if not one_of(contact, CONTACTS):
+        raise InputError(f"contact: expected {' or '.join(CONTACTS)}, got {brief(contact)}")
+    system, before = moment_of(state, "land")
+    frames = tuple((frame,) if isinstance(frame, str) else entries_of(frame) or ())
+    if not frames or len(set(frames)) < len(frames):
+        raise InputError(f"frame: expected one or several frames, each once, got {brief(frame)}")
+    places = [place_of(system, entry, "frame") for entry in frames]
+    count, data = 3 if contact == "point" else 6, placements(system, before.pose, before.x)
+    J = list[Array]()  # twists of the frames in world axes
+    for place in places:
+        R = data.oMi[place.joint].rotation @ place.on_joint.rotation
+        J.append(np.kron(np.eye(count // 3), R) @ jacobian(system, place, before)[:count])
+    H, v = mass_matrix(system, before), np.concatenate([before.xi, before.xdot])
+    N = closed_velocities(system, before.x)
+    # In w = Lᵀ u with v = N u and NᵀHN = L Lᵀ, the impact is the orthogonal projection off the
+    # columns of L⁻¹ (J N)ᵀ.
+    L = np.linalg.cholesky(N.T @ H @ N)
+    U, s, Vt = np.linalg.svd(np.linalg.solve(L, (np.vstack(J) @ N).T), full_matrices=False)
+    rank = int((s > _RANK * s[0]).sum())
+    stopped = U[:, :rank].T @ (L.T @ (N.T @ v))
+    jump = -N @ np.linalg.solve(L.T, U[:, :rank] @ stopped)
+    impulse = -(Vt[:rank].T @ (stopped / s[:rank])).reshape(len(frames), count)
+    r = system.r
+    momentum, change = (system.group.spatial_momentum(before.pose, (H @ u)[:r]) for u in (v, jump))
+    after = Instant(before.pose, before.x, before.xdot + jump[r:], before.xi + jump[:r])
+    stance, why = _stance(system, after, frames, places, contact, name)
+    return Landing(
+        system, after, before, frames, contact, impulse, float(0.5 * v @ H @ v),
+        float(0.5 * stopped @ stopped), momentum, change, stance, why,
+    )  # fmt: skip
+
+
+def _stance(
+    system: System,
+    after: Instant,
+    frames: Sequence[str],
+    places: Sequence[Place],
+    contact: Contact,
+    name: str,
+) -> tuple[Stance | None, str]:
+    """Return the stance robot with its state, or None and the reason."""
+    if contact == "flat":
+        return None, (
+            "no motion keeps a flat foot, so the group is trivial, which pinred does not support. "
+            "Simulate the robot as a fixed one with Pinocchio, or land with contact='point'"
+        )
+    if len(frames) > 1:
+        return None, (
+            "several contact points close loops through the ground, and no motion keeps them all. "
+            "Land on one point, or simulate with Pinocchio's constraints"
+        )
+    pivot, up = _pivot(system)
+    if pivot is None:
+        return None, (
+            f"a point contact leaves no symmetry to a robot in {system.group.name} with gravity "
+            f"{system.gravity.tolist()} m/s²"
+        )
+    place, data = places[0], placements(system, after.pose, after.x)
+    at = pin.SE3ToXYZQUAT(data.oMi[place.joint] * place.on_joint)
+    standing = stand(
+        system, frame=frames[0], at=at.tolist(), pivot=pivot, up=up.tolist(), name=name
+    )
+    state = carry_state([Moving(system, after)], standing)
+    return Stance(standing, state), ""
+
+
+def _pivot(system: System) -> tuple[Pivot | None, Array]:
+    """Return how a robot turns about a contact point, and the axis of its group in the world."""
+    group, gravity, model = system.group, system.gravity, system.sorted_model
+    if group.name == "SE3":
+        return ("vertical" if gravity.any() else "all"), up_of(system)
+    normal = np.zeros(3)
+    if group.plane:
+        root = model.jointPlacements[1].rotation
+        normal = root @ axes_of(model.joints[1])[3:, group.linear]
+    across = gravity - normal * (normal @ gravity)
+    still = normal.any() and np.abs(across).max() <= _ALONG * np.abs(gravity).max(initial=0.0)
+    return ("normal" if still else None), normal

@@ -1,5 +1,7 @@
 """Chain: phases of motion with captures, releases and landings between them, as one motion.
 
+`simulate_chain` simulates all phases of a scene file.
+
 All phases have the same links.  The states of a chain are those of one system that has all their
 joints: both robots of a capture with free joints between them, or the robot that floats before it
 lands.  A phase with fewer freedoms is a motion of this system, too.
@@ -11,14 +13,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+import pinocchio as pin
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, entries_of
 from ...common.errors import InputError
 from ...common.names import brief, listed
+from ...common.waiting import Progress
+from ...scene.scene import Engine
 from ...system.assembly import take_apart
 from ...system.derived_systems import (
     Instant,
@@ -27,14 +32,30 @@ from ...system.derived_systems import (
     free_prefix,
     link_motions,
     pair,
+    place_of,
+    placements,
+    pose_of,
 )
 from ...system.state_fields import State, arrays_of
 from ...system.system import System
 from ..impacts import ImpactTable, joined_tables
 from ..recording import Recording
+from ..simulate import simulate
 from ..trajectory import Trajectory
-from .capture import Capture, Release, mass_matrix, moment_of
-from .landing import Landing
+from .capture import (
+    Capture,
+    Landing,
+    Release,
+    capture,
+    land,
+    mass_matrix,
+    moment_of,
+    options_of,
+    release,
+)
+
+if TYPE_CHECKING:
+    from ...scene.toml.reader import LaterPhase, SceneFile
 
 Impact: TypeAlias = Capture | Release | Landing
 _FITTING = 1e-9  # largest accepted jump between parts of a chain, relative to size and speed
@@ -201,14 +222,14 @@ def _ordered(
 
 def _whole(motions: Sequence[Sequence[Trajectory]], impacts: Sequence[Impact | None]) -> System:
     """Return a system that has the freedoms of all phases."""
-    first, *others = (traj.system for traj in motions[0])
+    first, *later_systems = (traj.system for traj in motions[0])
     captures = [impact for impact in impacts if isinstance(impact, Capture)]
     releases = [impact for impact in impacts if isinstance(impact, Release)]
     whole = first
-    for system in others:
-        known = [c.prefix for c in captures if c.b is system]
-        whole = pair(whole, system, prefix=known[0] if known else free_prefix(whole, system))
-    if not others and releases:
+    for system in later_systems:
+        stated = [c.prefix for c in captures if c.b is system]
+        whole = pair(whole, system, prefix=stated[0] if stated else free_prefix(whole, system))
+    if not later_systems and releases:
         whole = pair(releases[0].carrier.system, releases[0].released.system, prefix="")
     return whole
 
@@ -262,7 +283,7 @@ def parts_of(whole: System, impact: Impact) -> tuple[list[Moving], list[Moving]]
 
 def _named(whole: System, parts: Sequence[tuple[System, Instant]]) -> list[Moving]:
     prefixes = _prefixes(whole, [system for system, _ in parts])
-    return [Moving(*part, prefix) for part, prefix in zip(parts, prefixes, strict=True)]
+    return [Moving(*moment, prefix) for moment, prefix in zip(parts, prefixes, strict=True)]
 
 
 def gap(a: Sequence[Moving], b: Sequence[Moving]) -> float:
@@ -307,9 +328,11 @@ def _end_state(
 ) -> dict[str, Array]:
     """Return the state after an impact with which a chain ends, by field, (1, …)."""
     assert impact is not None
-    parts = _after(whole, phase, impact)
-    transfer = Transfer([part.system for part in parts], [part.prefix for part in parts], whole)
-    state = _continued(whole, transfer(parts), (before["pose"][-1], before["x"][-1]))
+    robots = _after(whole, phase, impact)
+    transfer = Transfer(
+        [robot.system for robot in robots], [robot.prefix for robot in robots], whole
+    )
+    state = _continued(whole, transfer(robots), (before["pose"][-1], before["x"][-1]))
     lost = 0.0 if isinstance(impact, Release) else impact.energy_lost
     values = _fields(whole, state, before["energy"][-1] - lost)
     t = np.nextafter(before["t"][-1], np.inf)
@@ -340,24 +363,24 @@ def _states(whole: System, phase: Phase, before: dict[str, Array] | None) -> dic
     t = phase.start + times
     if before is not None and t[0] <= before["t"][-1]:
         t[0] = np.nextafter(before["t"][-1], np.inf)
-    (first, *others) = phase.motions
-    if not others and first.system is whole:
+    (first, *later_motions) = phase.motions
+    if not later_motions and first.system is whole:
         return {**arrays_of(first(times)), "t": t}
     states = [traj(times) for traj in phase.motions]
-    rows: dict[str, list[Array]] = {name: [] for name in State.__dataclass_fields__}
+    columns: dict[str, list[Array]] = {name: [] for name in State.__dataclass_fields__}
     transfer = Transfer([traj.system for traj in phase.motions], phase.prefixes, whole)
     last = None if before is None else (before["pose"][-1], before["x"][-1])
     for k in range(len(times)):
-        parts = [
+        robots = [
             Moving(traj.system, Instant(s.pose[k], s.x[k], s.xdot[k], s.xi[k]), prefix)
             for traj, s, prefix in zip(phase.motions, states, phase.prefixes, strict=True)
         ]
-        state = _continued(whole, transfer(parts), last)
+        state = _continued(whole, transfer(robots), last)
         last = state.pose, state.x
         energy = float(np.sum([s.energy[k] for s in states]))
         for name, value in _fields(whole, state, energy).items():
-            rows[name].append(value)
-    return {**{name: np.array(values) for name, values in rows.items() if name != "t"}, "t": t}
+            columns[name].append(value)
+    return {**{name: np.array(values) for name, values in columns.items() if name != "t"}, "t": t}
 
 
 def _fields(whole: System, state: Instant, energy: float) -> dict[str, Any]:
@@ -393,3 +416,147 @@ def _continued(whole: System, state: Instant, last: tuple[Array, Array] | None) 
     for values, previous, entries in angles:
         values[entries] += turn * np.round((previous[entries] - values[entries]) / turn)
     return Instant(pose, x, state.xdot, state.xi)
+
+
+@checks_arguments
+def simulate_chain(
+    path: str | Path,
+    *,
+    engine: Engine | None = None,
+    check: bool = False,
+    progress: Progress | bool | None = None,
+) -> Chain:
+    """Simulate a scene file with several phases: motions, captures, releases and landings.
+
+    Args:
+        path: Path of the file; docs/capture.md shows one, and docs/scenes.md lists its keys.
+        engine: Engine of all motions, instead of those in the file.
+        check: Whether to find forces that steps skip in all motions, and not only where the file
+            says so.
+        progress: True for a progress bar for each motion; see `simulate`.
+    Returns:
+        The chain of all phases.
+    Raises:
+        InputError: A key or value is not valid, the file has one phase, or an impact is not
+            possible; the message names file, line and key.
+        LoadError: The file, or a file that it names, cannot be read.
+    """
+    from ...scene.toml.reader import read_scene_file
+
+    file = read_scene_file(path)
+    if not file.phases:
+        raise InputError(
+            f"simulate_chain: '{path}' has no tables [[phases]]; simulate(load_scene(path)) "
+            "simulates its motion"
+        )
+    return run_phases(file, engine=engine, check=check, progress=progress)
+
+
+def run_phases(
+    file: SceneFile,
+    *,
+    engine: Engine | None = None,
+    check: bool = False,
+    progress: Progress | bool | None = None,
+) -> Chain:
+    """Simulate all phases of a file that was read; see simulate_chain."""
+
+    def play(*files: SceneFile) -> list[Trajectory]:
+        """Simulate robots that move at the same time: until the first one ends."""
+        motions = list[Trajectory]()
+        for one in files:
+            scene = one.scene
+            if motions:  # an event may end the motion of the first early
+                scene = replace(scene, duration=motions[0].scene.end)
+            run = {"engine": engine or one.engine, "check": check or one.check}
+            motions.append(simulate(scene, progress=progress, **run))  # type: ignore[arg-type]
+        return motions
+
+    def approach(second: SceneFile | None) -> list[Trajectory]:
+        return play(file, *([] if second is None else [second]))
+
+    moving = approach(file.second)
+    parts: list[Any] = [moving]
+    for number, phase in enumerate(file.phases):
+        if phase.impact is not None and phase.impact[1].get("align"):
+            if number or file.second is None:
+                phase.place.fail(
+                    "align: expected the two robots of the file in the phase before the capture"
+                )
+            parts = [moving := approach(_aligned(file.second, phase, moving))]
+        impact, states = _impact_before(phase, moving)
+        parts += [] if impact is None else [impact]
+        if isinstance(impact, Landing) and not states:
+            if number + 1 < len(file.phases) or "run" in phase.document:
+                (phase.place / "land").fail(impact.why_no_stance)
+            break
+        moving = play(*(
+            phase.scene_file(system, start, second=k > 0)
+            for k, (system, start) in enumerate(states)
+        ))  # fmt: skip
+        parts.append(moving)
+    return chain(*parts)
+
+
+def _impact_before(
+    phase: LaterPhase, moving: Sequence[Trajectory]
+) -> tuple[Impact | None, list[tuple[System, dict[str, Any]]]]:
+    """Return the impact before a phase, and the robots after it with the options that start them.
+
+    Args:
+        phase: The phase.
+        moving: Motions of the phase before it.
+    Returns:
+        The impact, or None; and the robots, none after a landing that leaves no symmetry.
+    Raises:
+        InputError: The impact is not possible.
+    """
+    if phase.impact is None:
+        ends = [moment_of(traj, "phases") for traj in moving]
+        return None, [(system, options_of(state)) for system, state in ends]
+    from ...scene.toml.schema import naming
+
+    name, options = phase.impact
+    place = phase.place / name
+    if (name == "capture") != (len(moving) == 2):
+        place.fail(
+            f"a {name} needs {'two robots' if name == 'capture' else 'one robot'}, and "
+            f"{len(moving)} move. State the other robot as [second], or capture it before"
+        )
+    with naming(place, f"{name}: "):
+        if name == "capture":
+            options.pop("align", None)
+            caught = capture(moving[0], moving[1], **options)
+            return caught, [(caught.system, caught.start)]
+        if name == "release":
+            parts = release(moving[0], **options)
+            return parts, [(p.system, p.start) for p in (parts.carrier, parts.released)]
+        landing = land(moving[0], **options)
+        stance = landing.stance
+        return landing, [] if stance is None else [(stance.system, stance.start)]
+
+
+def _aligned(second: SceneFile, phase: LaterPhase, moving: Sequence[Trajectory]) -> SceneFile:
+    """Return the file of the second robot with the pose at which its frame meets that of the first.
+
+    A robot moves alike from every pose, so its start moves by the difference of the frames at the
+    end.
+    """
+    from ...scene.toml.schema import naming
+
+    assert phase.impact is not None
+    with naming(phase.place / "capture"):
+        at, onto = (
+            _placement(*moment_of(traj, name), phase.impact[1][name], name)
+            for traj, name in zip(moving, ("at", "onto"), strict=True)
+        )
+        system, start = second.scene.system, second.scene.start
+        fixed = system.sorted_model.jointPlacements[1]
+        base = placements(system, start.pose, start.x).oMi[1]
+        pose = pose_of(system, fixed.actInv(at * onto.inverse() * base))
+        return replace(second, scene=replace(second.scene, pose0=pose))
+
+
+def _placement(system: System, state: Instant, name: str, what: str) -> pin.SE3:
+    place = place_of(system, name, what)
+    return placements(system, state.pose, state.x).oMi[place.joint] * place.on_joint

@@ -1,10 +1,13 @@
-"""flow(): a scene as a map from initial state and parameters to states, with derivatives."""
+"""flow(): a scene as a map from initial state and parameters to states, with derivatives.
+
+`Flow.step` is one step of this map, for shooting solvers.
+"""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Unpack, get_args
@@ -12,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Unpack, get_args
 import numpy as np
 
 from ...common.argument_kinds import checks_arguments, shows_fields
-from ...common.arrays import Array, as_floats
+from ...common.arrays import Array, FrozenArrays, as_floats, positive
 from ...common.errors import InputError, SceneWarning, ShapeError
 from ...common.memo import once
 from ...common.names import brief, listed, nearest, quoted
@@ -26,10 +29,8 @@ from ..simulate import as_scene, free_joints_notice
 from .inputs import Inputs, motion_of, with_varied
 
 if TYPE_CHECKING:
-    from .casadi_adapter import FlowCallback
-    from .flow_columns import Columns
-    from .resolved_run import Run
-    from .step_map import StepMap
+    from .flow_columns import Columns, FlowCallback
+    from .flow_run import Run
 
 _ROWS: tuple[Outcome, ...] = get_args(Outcome)
 _ALL: tuple[Outcome, ...] = ("x", "xdot", "pose", "xi")
@@ -87,10 +88,10 @@ class Flow:
             if scene.bounds
             else Propagator(plan, zero_momentum=zero)
         )
-        self.input_map = Inputs(scene, self.propagator.kernel, plan.acting.gravity, wrt)
+        self.input_map = Inputs(scene, self.propagator.kernel, plan.gravity, wrt)
         self._rows = _checked_rows(of, wanted=plan.wanted)
         sizes = sizes_of(scene.system)
-        ends = np.cumsum([0, *(sizes[row] for row in self._rows)]).tolist()
+        ends = np.cumsum([0, *(sizes[outcome] for outcome in self._rows)]).tolist()
         self.outputs: Mapping[str, slice] = MappingProxyType(
             dict(zip(self._rows, map(slice, ends, ends[1:]), strict=True))
         )
@@ -104,8 +105,8 @@ class Flow:
 
     def __repr__(self) -> str:
         inputs = ", ".join(f"{name} ({size})" for name, size in self.inputs.items()) or "nothing"
-        rows = ", ".join(f"{name} ({p.stop - p.start})" for name, p in self.outputs.items())
-        return f"Flow({self.scene.system.name!r}, {self.scene.end:g} s, {rows} by {inputs})"
+        outputs = ", ".join(f"{name} ({p.stop - p.start})" for name, p in self.outputs.items())
+        return f"Flow({self.scene.system.name!r}, {self.scene.end:g} s, {outputs} by {inputs})"
 
     @property
     def system(self) -> System:
@@ -178,7 +179,7 @@ class Flow:
 
     def explain(self) -> str:
         """Describe the skipped terms, the integrated variables and the inputs, one per line."""
-        from ..explain import integrated, seen_and_integrated, skipped, varying
+        from ..simulate import integrated, seen_and_integrated, skipped, varying
 
         plan = self.propagator.plan
         zero = self.propagator.zero_momentum
@@ -197,11 +198,11 @@ class Flow:
         Raises:
             InputError: The flow has no such input.
         """
-        known = self.input_map.known
-        if name not in known:
+        names = self.input_map.known
+        if name not in names:
             raise InputError(
-                f"name: there is no input {quoted(name)}; {nearest(name, known)}the inputs are "
-                f"{listed(known, 60)}"
+                f"name: there is no input {quoted(name)}; {nearest(name, names)}the inputs are "
+                f"{listed(names, 60)}"
             )
         return self.input_map.value(name)
 
@@ -216,21 +217,7 @@ class Flow:
         Returns:
             The map.
         """
-        from .step_map import StepMap
-
         return StepMap(self, h)
-
-    def of_scene(self, scene: Scene, wrt: Sequence[str], of: tuple[Outcome, ...]) -> Flow:
-        """Return the flow of another scene over its report times.
-
-        Args:
-            scene: The scene.
-            wrt: Names of the inputs with derivatives.
-            of: Names of the outputs with derivatives.
-        Returns:
-            The flow.
-        """
-        return Flow(scene, wrt, of, over_times=True)
 
     def one_step(
         self, inputs: Mapping[str, Any], h: float, t: float, *, derivatives: bool
@@ -269,7 +256,7 @@ class Flow:
         """
         import casadi as ca
 
-        from .casadi_adapter import FlowCallback
+        from .flow_columns import FlowCallback
 
         if not (name.isascii() and ca.Function.check_name(name)):
             raise InputError(
@@ -299,7 +286,7 @@ class Flow:
         Returns:
             The run, with a solution between each two stops.
         """
-        from .resolved_run import refuse_singular_run
+        from .flow_run import refuse_singular_run
 
         columns = self.input_map.given(inputs)
         key = columns.state.tobytes() + columns.constants.tobytes()
@@ -326,14 +313,14 @@ class Flow:
         shape = (len(self.t), self._size) if self.over_times else (self._size,)
         if isinstance(covector, Mapping):
             weights = np.zeros(shape)
-            for name, part in covector.items():
+            for name, weights_of_output in covector.items():
                 if name not in self.outputs:
                     raise InputError(
                         f"no output {brief(name)}; the outputs are {', '.join(self.outputs)}"
                     )
                 place = self.outputs[name]
                 expected = (*shape[:-1], place.stop - place.start)
-                values = as_floats(part, f"the covector of {name}")
+                values = as_floats(weights_of_output, f"the covector of {name}")
                 if values.shape != expected:
                     raise ShapeError(
                         f"the covector of {name} must have shape {expected}, got {values.shape}"
@@ -391,14 +378,131 @@ def _stays_zero(scene: Scene, wrt: Sequence[str]) -> bool:
 
 
 def _checked_rows(of: Sequence[Outcome] | None, *, wanted: bool) -> tuple[Outcome, ...]:
-    known = [name for name in _ROWS if wanted or not FIELDS[name].needs_base]
+    outcomes = [name for name in _ROWS if wanted or not FIELDS[name].needs_base]
     if of is None:
         return _ALL if wanted else _SHAPE
-    rows: tuple[Any, ...] = (of,) if isinstance(of, str) else tuple(of)
-    for row in rows:
-        if row not in known or rows.count(row) > 1:
+    requested: tuple[Any, ...] = (of,) if isinstance(of, str) else tuple(of)
+    for outcome in requested:
+        if outcome not in outcomes or requested.count(outcome) > 1:
             raise InputError(
-                f"the outputs of a flow must be among {', '.join(known)}, each once, "
+                f"the outputs of a flow must be among {', '.join(outcomes)}, each once, "
                 f"got {brief(of)}"
             )
-    return rows
+    return requested
+
+
+# Field of State for each input that is a part of the state, in the order of a flow's outputs.
+STATE: dict[str, Outcome] = {"x0": "x", "xdot0": "xdot", "pose0": "pose", "xi0": "xi"}
+_LATEST = 1e100  # [s]; the square of a time is finite, in which a body falls
+
+
+@dataclass(frozen=True)
+class LinearStep(FrozenArrays):
+    """A step and its derivatives; arrays are read-only.
+
+    Attributes:
+        state: State at the end of the step.
+        by_state: Derivative F_x of the tangent (x, ẋ, pose, ξ) at the end with respect to that at
+            the start, (2n, 2n), in the order of `StepMap.outputs`; poses are in the body
+            coordinates of their tangents.
+        by_parameters: Derivative F_u of that tangent with respect to the parameters, (2n, nu).
+    """
+
+    state: State
+    by_state: Array
+    by_parameters: Array
+
+
+@checks_arguments
+class StepMap:
+    """The map (state, parameters) → state of one step of constant length.
+
+    The map takes one step of the flow's integrator without step control, so the map is smooth.
+
+    Attributes:
+        h: Length of the step [s].
+        parameters: Number of entries by name of the flow's inputs that are not parts of the state,
+            which are the controls of a shooting solver.
+        outputs: Parts of the tangent of a state by name, which are those of `Flow.outputs` without
+            other outputs.
+        ndx: Length 2n of the tangent of a state.
+        nu: Number of entries of all parameters.
+    """
+
+    def __init__(self, flow: Flow, h: float) -> None:
+        """Prepare the map.
+
+        Args:
+            flow: The Flow.
+            h: Length of the step [s].
+        Raises:
+            InputError: The flow leaves out the base, or h is not positive.
+        """
+        self.h = positive(h, "h")
+        scene: Scene = flow.scene
+        if scene.outputs != "all":
+            raise InputError("a step map needs the base; leave out outputs='shape'")
+        start = scene.start
+        complete = replace(
+            scene, x0=start.x, xdot0=start.xdot, xi0=start.xi, pose0=start.pose, momentum=None,
+            seed=None, keyframe=None, q0=None, v0=None,
+        )  # fmt: skip
+        names = [name for name in flow.inputs if name not in (*STATE, "momentum")]
+        self._flow = Flow(complete, [*STATE, *names], tuple(STATE.values()), over_times=True)
+        self.parameters = {name: self._flow.inputs[name] for name in names}
+        self.outputs = self._flow.outputs
+        self.ndx, self.nu = 2 * scene.system.n, sum(self.parameters.values())
+        self._own = start
+
+    def __repr__(self) -> str:
+        name = self._flow.scene.system.name
+        return f"StepMap({name!r}, {self.h:g} s, ndx = {self.ndx}, nu = {self.nu})"
+
+    def __call__(self, state: Any = None, *, t: float = 0.0, **parameters: Any) -> State:
+        """Compute the state after a step; see `linear`.
+
+        Args:
+            state: State at the start.
+            t: Time at the start [s].
+            **parameters: Values of parameters by name.
+        Returns:
+            The state at the end.
+        """
+        return self._step(state, t, parameters, derivatives=False).state
+
+    def linear(self, state: Any = None, *, t: float = 0.0, **parameters: Any) -> LinearStep:
+        """Compute the state after a step, with its derivatives.
+
+        An InputError is raised for invalid arguments, and an IntegrationError if the step fails.
+
+        Args:
+            state: State at one time, or an object with pose, x, xdot and xi; None for the state
+                of the scene.
+            t: Time at the start of the step [s].
+            **parameters: Values of parameters by name; omitted parameters have their values in
+                the scene.
+        Returns:
+            The step.
+        """
+        return self._step(state, t, parameters, derivatives=True)
+
+    def _step(
+        self, state: Any, t: float, parameters: dict[str, Any], *, derivatives: bool
+    ) -> LinearStep:
+        for name in parameters:
+            if name in STATE:
+                raise InputError(f"a step map takes {name} in the state, its first argument")
+        if not abs(t) < _LATEST:
+            raise InputError(f"t: expected a time of at most {_LATEST:g} s, got {t:g}")
+        at = self._own if state is None else state
+        inputs: dict[str, Any] = dict(parameters)
+        for name, field in STATE.items():
+            field_value = getattr(at, field, None)
+            if field_value is None:
+                raise InputError(
+                    f"a step map takes a State, with pose, x, xdot and xi; got {brief(state)}"
+                )
+            inputs[name] = np.asarray(field_value)
+        end_state, slopes = self._flow.one_step(inputs, self.h, float(t), derivatives=derivatives)
+        assert isinstance(end_state, State)
+        return LinearStep(end_state, slopes[:, : self.ndx], slopes[:, self.ndx :])

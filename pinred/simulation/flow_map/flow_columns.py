@@ -1,4 +1,4 @@
-"""A flow as a function between plain vectors, also for batches, for other libraries.
+"""A flow as a function between plain vectors, also for batches, and as a CasADi Callback.
 
 Inputs are vectors in the order of the flow's `inputs`; the output is one vector.  Poses and
 quaternions of balls are written in their own coordinates, not in tangent coordinates, so that
@@ -12,19 +12,31 @@ inputs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Literal
-
 import numpy as np
-
-from ...common.arrays import Array, as_floats, vectors
-from ...common.errors import InputError, ShapeError
-from ...common.names import brief, listed, nearest
+import casadi as ca
+from collections.abc import Callable
+from collections.abc import Iterator
+from collections.abc import Mapping
+from collections.abc import Sequence
+from typing import Any
+from typing import Literal
+from ...common.arrays import Array
+from ...common.arrays import as_floats
+from ...common.arrays import vectors
+from ...common.errors import InputError
+from ...common.errors import ShapeError
+from ...common.names import brief
+from ...common.names import listed
+from ...common.names import nearest
 from ...integrators.methods import Explicit
-from ...kernels.flow_functions import Row, sizes_of
-from .inputs import Given, Inputs
+from ...kernels.flow_functions import Row
+from ...kernels.flow_functions import sizes_of
+from .inputs import Given
+from .inputs import Inputs
 from .propagator import Propagator
-from .resolved_run import Run
+from ...common.casadi_callback import ArrayCallback
+from ...common.casadi_callback import dense
+from .flow_run import Run
 
 # Up to this number of runs, one thread finishes before a second thread has started.
 _RUNS_OF_ONE_THREAD = 32
@@ -71,7 +83,7 @@ class Columns:
             numbers["x"] = "x_numbers"
         self._rows: tuple[Row, ...] = tuple(numbers.get(name, name) for name in flow.outputs)
         sizes = sizes_of(flow.system)
-        ends = np.cumsum([0, *(sizes[row] for row in self._rows)]).tolist()
+        ends = np.cumsum([0, *(sizes[outcome] for outcome in self._rows)]).tolist()
         self.outputs = dict(zip(flow.outputs, map(slice, ends, ends[1:]), strict=True))
         self._times = len(flow.t) if flow.over_times else 1
         self.size = ends[-1] * self._times
@@ -402,8 +414,8 @@ class Batched:
         lead = _lead(columns)
         if not lead:
             return self.columns.value(*columns)
-        rows = [a.reshape(-1, a.shape[-1]) for a in _wide(columns, lead)]
-        return self.columns.values(*rows).reshape(*lead, self.columns.size)
+        flat = [a.reshape(-1, a.shape[-1]) for a in _wide(columns, lead)]
+        return self.columns.values(*flat).reshape(*lead, self.columns.size)
 
     def along(self, columns: Sequence[Any], directions: Sequence[Any]) -> Array:
         """Return the derivatives along directions of the inputs, (…, size)."""
@@ -445,3 +457,139 @@ def _runs(
     for index in np.ndindex(shape):
         place = tuple(slice(None) if size == 1 else i for i, size in zip(index, shape, strict=True))
         yield place, [a[index] for a in columns], [a[place] for a in seeds]
+
+
+class FlowCallback(ArrayCallback):
+    """A flow as a CasADi Function with derivatives of first order.
+
+    Its inputs are the inputs of the flow, as columns with their names; its output is the column
+    `y`.  The Function has a Jacobian and forward and reverse derivatives.  Keep the object alive
+    as long as expressions use it, because CasADi does not keep it alive.
+
+    Attributes:
+        columns: The flow between vectors, with the order of inputs and outputs.
+    """
+
+    def __init__(self, columns: Columns, name: str) -> None:
+        """Build the Function.
+
+        Args:
+            columns: The flow between vectors.
+            name: Name of the Function.
+        """
+        self.columns = columns
+        self._derivatives: list[Any] = []  # CasADi does not keep derivatives alive.
+        # CasADi rejects dots in names.
+        names = [name.replace(".", "_") for name in columns.names]
+        inputs = [dense(name, size, 1) for name, size in zip(names, columns.sizes, strict=True)]
+        outputs = [dense("y", columns.size, 1)]
+        super().__init__(name, inputs, outputs, lambda values: [columns.value(*values)])
+
+    def has_jacobian(self) -> bool:
+        """Return True, because `get_jacobian` provides a Jacobian."""
+        return True
+
+    def get_jacobian(self, name: str, inames: Any, onames: Any, _options: Any) -> ca.Function:
+        """Return the Jacobian as a Function of the inputs and the output.
+
+        Args:
+            name: Name of the Function.
+            inames: Names of its inputs.
+            onames: Names of its outputs.
+        Returns:
+            The Jacobian; it takes the output as an argument, but does not read it.
+        """
+        columns = self.columns
+
+        def evaluate(values: Sequence[Array], _: Sequence[Array]) -> Sequence[Array]:
+            return columns.jacobian(*values)
+
+        shapes = [(columns.size, size) for size in columns.sizes]
+        return self._derivative(name, inames, onames, [], shapes, evaluate)
+
+    def has_forward(self, _count: int) -> bool:
+        """Return True, because `get_forward` provides forward derivatives."""
+        return True
+
+    def get_forward(
+        self, count: int, name: str, inames: Any, onames: Any, _options: Any
+    ) -> ca.Function:
+        """Return the derivatives along `count` directions, one in each column.
+
+        Args:
+            count: Number of directions.
+            name: Name of the Function.
+            inames: Names of its inputs.
+            onames: Names of its outputs.
+        Returns:
+            Function of the inputs, the output and the directions.
+        """
+        columns = self.columns
+
+        def evaluate(values: Sequence[Array], directions: Sequence[Array]) -> Sequence[Array]:
+            return [columns.jvp(values, [direction.T for direction in directions]).T]
+
+        directions = [(size, count) for size in columns.sizes]
+        shapes = [(columns.size, count)]
+        return self._derivative(name, inames, onames, directions, shapes, evaluate)
+
+    def has_reverse(self, _count: int) -> bool:
+        """Return True, because `get_reverse` provides reverse derivatives."""
+        return True
+
+    def get_reverse(
+        self, count: int, name: str, inames: Any, onames: Any, _options: Any
+    ) -> ca.Function:
+        """Return the derivatives of `count` products covector · output, one in each column.
+
+        Args:
+            count: Number of covectors.
+            name: Name of the Function.
+            inames: Names of its inputs.
+            onames: Names of its outputs.
+        Returns:
+            Function of the inputs, the output and the covectors.
+        """
+        columns = self.columns
+
+        def evaluate(values: Sequence[Array], covectors: Sequence[Array]) -> Sequence[Array]:
+            return [derivative.T for derivative in columns.vjp(values, covectors[0].T)]
+
+        covectors = [(columns.size, count)]
+        shapes = [(size, count) for size in columns.sizes]
+        return self._derivative(name, inames, onames, covectors, shapes, evaluate)
+
+    def _derivative(
+        self,
+        name: str,
+        inames: Sequence[str],
+        onames: Sequence[str],
+        seeds: Sequence[tuple[int, int]],
+        shapes: Sequence[tuple[int, int]],
+        evaluate: Callable[[Sequence[Array], Sequence[Array]], Sequence[Array]],
+    ) -> ca.Function:
+        """Build a derivative Function and store it, because CasADi does not keep it alive.
+
+        Args:
+            name: Name of the Function.
+            inames: Names of its inputs.
+            onames: Names of its outputs.
+            seeds: Shapes of the arguments after the inputs and the output of the flow.
+            shapes: Shapes of the results.
+            evaluate: Function of the inputs and the seeds.
+        Returns:
+            Function of the inputs, the output and the seeds.
+        """
+        count = len(self.columns.sizes)
+        sparsities = [
+            *(ca.Sparsity.dense(size, 1) for size in self.columns.sizes),
+            ca.Sparsity(self.columns.size, 1),  # The output, which no derivative reads.
+            *(ca.Sparsity.dense(*shape) for shape in seeds),
+        ]
+        outputs = [dense(name, *shape) for name, shape in zip(onames, shapes, strict=True)]
+        derivative: ca.Function = ArrayCallback(
+            name, list(zip(inames, sparsities, strict=True)), outputs,
+            lambda arguments: evaluate(arguments[:count], arguments[count + 1 :]),
+        )  # fmt: skip
+        self._derivatives.append(derivative)
+        return derivative

@@ -11,15 +11,17 @@ scene decides what is at once, and what is near.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+import numpy as np
+from collections.abc import Collection
+from collections.abc import Iterator
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, get_args
-
-import numpy as np
+from typing import Any
+from typing import get_args
 from numpy.polynomial import Chebyshev
-
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.names import listed
@@ -32,20 +34,39 @@ from ...kernels.flow_functions import Row
 from ...kernels.kernel import Layout
 from ...scene.input_formats import list_forces
 from ...scene.scene import Scene
-from ...scene.stop import BallBound, Bound, changed_stops
-from ...system.model_parameters import joined, plain_value
-from ...system.state_fields import Outcome, ShapeState, State
+from ...scene.stop import BallBound
+from ...scene.stop import Bound
+from ...scene.stop import changed_stops
+from ...system.model_parameters import joined
+from ...system.model_parameters import plain_value
+from ...system.state_fields import Outcome
+from ...system.state_fields import ShapeState
+from ...system.state_fields import State
 from ..compiled.compiled_flow import CompiledFlow
 from ..impacts import bernstein
-from ..plan import Span, plan_of, spans_between
+from ..plan import Span
+from ..plan import plan_of
+from ..plan import spans_between
 from ..robot_columns import without_own
-from ..run_with_stops import Phase, StoppedMotion, locked_scene, margin_of
+from ..run_with_stops import Phase
+from ..run_with_stops import StoppedMotion
+from ..run_with_stops import locked_scene
+from ..run_with_stops import margin_of
 from ..simulate import trajectory_of
 from ..trajectory import Trajectory
-from .inputs import Given, motion_of, stop_numbers_of
-from .jumps import Contact, ImpactJump, Jump, Side, Slots, StopInputs, jump_between, jump_of
+from .inputs import Given
+from .inputs import motion_of
+from .inputs import stop_numbers_of
+from .jumps import Contact
+from .jumps import ImpactJump
+from .jumps import Jump
+from .jumps import Side
+from .jumps import Slots
+from .jumps import StopInputs
+from .jumps import jump_between
+from .jumps import jump_of
 from .propagator import Propagator
-from .resolved_run import Run
+from .flow_run import Run
 
 _DEGREE = 8  # Degree of the polynomials that describe gaps within a step.
 _REAL = 1e-9  # Imaginary part of a real root, relative to the step.
@@ -126,9 +147,9 @@ class DoubtfulImpacts:
             if bound.v not in joints and bound not in rest and u < 0.0 and gap <= near_gap:
                 near.append(bound)
         speed = abs(xdot[hits[0].v])
-        before, others = self._last
-        if not others <= joints and t - before <= self._within + self.tolerance(hits[0]) / speed:
-            near += [bound for bound in self._bounds if bound.v in others - joints]
+        before, last = self._last
+        if not last <= joints and t - before <= self._within + self.tolerance(hits[0]) / speed:
+            near += [bound for bound in self._bounds if bound.v in last - joints]
         self._last = t, frozenset(joints)
         if near:
             names = list(dict.fromkeys(bound.joint for bound in (*hits, *near)))
@@ -197,17 +218,17 @@ class DoubtfulImpacts:
             y = solution.at(times.ravel())[:, columns].reshape(*times.shape, -1)
             gaps = signs * (y - positions)
             low = np.einsum("ij,sjb->sib", matrix, gaps).min(axis=1) <= tolerances
-            for step, rows in enumerate(gaps):
+            for step, gaps_of_step in enumerate(gaps):
                 for k in np.flatnonzero(low[step] & is_open).tolist():
-                    part = _turning(nodes, rows[:, k], tolerances[k])
-                    if part is not None:
-                        t = start + starts[step] + part * lengths[step]
+                    place = _turning(nodes, gaps_of_step[:, k], tolerances[k])
+                    if place is not None:
+                        t = start + starts[step] + place * lengths[step]
                         raise InputError(
                             f"stops: joint '{bounds[k].joint}' grazes its {bounds[k].side} stop at "
                             f"t = {t:g} s, so a flow has a derivative on one side only. Change the "
                             "motion or the stop"
                         )
-                is_open |= (rows > tolerances).any(axis=0)
+                is_open |= (gaps_of_step > tolerances).any(axis=0)
             start += float(solution.knots[-1])
 
 
@@ -215,9 +236,9 @@ def rows_of(phase: Phase, bounds: Sequence[Bound]) -> dict[Bound, float]:
     """Return the stops with an impulse at the start of a phase, and the rates after it."""
     if phase.impact is None:
         return {}
-    known = {(bound.joint, bound.side): bound for bound in bounds}
+    stops = {(bound.joint, bound.side): bound for bound in bounds}
     keys = zip(phase.impact.joint, phase.impact.side, strict=True)
-    return {known[key]: float(rate) for key, rate in zip(keys, phase.impact.rates[1], strict=True)}
+    return {stops[key]: float(rate) for key, rate in zip(keys, phase.impact.rates[1], strict=True)}
 
 
 def _turning(nodes: Array, gaps: Array, tolerance: float) -> float | None:
@@ -306,10 +327,10 @@ class FlowMode:
         """
         free, layout = run.flow, self.propagator.kernel.layout
         first = free.kernel.layout.gravity_at
-        others = self.others(np.concatenate([free.parameters[first:], run.stops]))
-        others[len(others) - len(self.numbers) :] += self.numbers - self.by_numbers @ own
+        params = self.others(np.concatenate([free.parameters[first:], run.stops]))
+        params[len(params) - len(self.numbers) :] += self.numbers - self.by_numbers @ own
         spin = free.parameters[: layout.base.spin]
-        columns = [spin, np.zeros(len(layout.constant_pi)), others]
+        columns = [spin, np.zeros(len(layout.constant_pi)), params]
         forces = self.propagator.plan.forces
         flow = CompiledFlow(
             self.propagator.kernel, None if forces is None else forces.tables,
@@ -406,8 +427,8 @@ class StoppedPropagator(Propagator):
     def run(self, given: Given, *, stages: bool = False) -> StoppedRun:  # noqa: ARG002
         """Simulate the scene with the inputs; see Propagator.run."""
         trajectory = trajectory_of(without_own(self._scene_of(given)))
-        own, stops = self._divided(given.constants)
-        given = replace(given, constants=own)
+        of_kernel, stops = self._divided(given.constants)
+        given = replace(given, constants=of_kernel)
         return StoppedRun(given, self.initial(given), [], [], trajectory, stops)
 
     def _divided(self, constants: Array) -> tuple[Array, Array]:
@@ -426,11 +447,11 @@ class StoppedPropagator(Propagator):
     def outputs(self, run: Run) -> Array:
         """Return the outputs of a flow, among those of the kernel, (T, ·), at the report times."""
         states, where = self.states(run), self.kernel.where
-        rows = np.full((len(self.scene.report_times), where.size), np.nan)
+        outputs = np.full((len(self.scene.report_times), where.size), np.nan)
         for name in get_args(Outcome):
             if name in where.fields:
-                rows[:, where.fields[name]] = getattr(states, name).reshape(len(rows), -1)
-        return rows
+                outputs[:, where.fields[name]] = getattr(states, name).reshape(len(outputs), -1)
+        return outputs
 
     def outputs_of_many(self, *_: Any, **__: Any) -> Array:
         """Reject runs in SIMD lanes; the adapters run the inputs one after another."""
@@ -533,16 +554,16 @@ class StoppedPropagator(Propagator):
     def _mode(self, rest: tuple[Bound, ...]) -> FlowMode:
         """Return a mode, whose kernels are built at its first use."""
         # The positions of stops are inputs, so modes are identified by the stops of the scene.
-        own = tuple(self._bounds[bound.joint, bound.side] for bound in rest)
-        mode = self._modes.get(own)
+        bounds = tuple(self._bounds[bound.joint, bound.side] for bound in rest)
+        mode = self._modes.get(bounds)
         if mode is None:
-            places = [Parameter(place_name(k), bound.position) for k, bound in enumerate(own)]
+            places = [Parameter(place_name(k), bound.position) for k, bound in enumerate(bounds)]
             x, xdot = self._free.start.x.copy(), self._free.start.xdot.copy()
-            for bound in own:
+            for bound in bounds:
                 x[bound.x], xdot[bound.v] = bound.position, 0.0
-            plan = plan_of(locked_scene(self._free, own, x, xdot, places))
+            plan = plan_of(locked_scene(self._free, bounds, x, xdot, places))
             propagator = Propagator(plan, zero_momentum=self.zero_momentum)
-            mode = self._modes[own] = FlowMode.of(own, propagator, self, self._stops)
+            mode = self._modes[bounds] = FlowMode.of(bounds, propagator, self, self._stops)
         return mode
 
     def parts_of(self, run: Run) -> list[Part]:

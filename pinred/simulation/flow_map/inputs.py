@@ -15,32 +15,47 @@ of x0 is.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+import casadi as ca
+import numpy as np
+from collections.abc import Collection
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import field
 from functools import cached_property
 from math import isfinite
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
-
-import casadi as ca
-import numpy as np
-
-from ...common.arrays import Array, entries_of, vector
-from ...common.errors import InputError, ShapeError
+from typing import TYPE_CHECKING
+from typing import Any
+from ...common.arrays import Array
+from ...common.arrays import entries_of
+from ...common.arrays import vector
+from ...common.errors import InputError
+from ...common.errors import ShapeError
 from ...common.memo import once
-from ...common.names import brief, listed, nearest
-from ...common.parameter import VectorParameter, by_name, refuse_entry
+from ...common.names import brief
+from ...common.names import listed
+from ...common.names import nearest
+from ...common.parameter import VectorParameter
+from ...common.parameter import by_name
+from ...common.parameter import refuse_entry
 from ...forces.force_model import ForceModel
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers
-from ...scene.initial_state import HeldJoints, closed_rates, closed_shape, order_by_joint
+from ...scene.initial_state import HeldJoints
+from ...scene.initial_state import closed_rates
+from ...scene.initial_state import closed_shape
+from ...scene.initial_state import order_by_joint
 from ...scene.scene import Scene
 from ...scene.stop import stop_numbers
-from ...system.loops.kinematics import loop_jacobian, loop_jacobian_rate
-from ...system.loops.loop_assembly import loop_rates, rate_units
+from ...system.loops.kinematics import loop_jacobian
+from ...system.loops.kinematics import loop_jacobian_rate
+from ...system.loops.loop_assembly import loop_rates
+from ...system.loops.loop_assembly import rate_units
 from ...system.system import System
-from ..robot_columns import RobotColumns, with_own
+from ..robot_columns import RobotColumns
+from ..robot_columns import with_own
 
 if TYPE_CHECKING:
     from ...kernels.initial_conditions import TwistOrMomentum
@@ -113,17 +128,17 @@ def close_inputs(
         InputError: The loops do not close, or planned positions leave the other joints undetermined
             and `values` has no x0.
     """
-    held = [_held(values, name) for name in ("x0", "xdot0")]
-    start, x = x, closed_shape(system, x, held[0], driven=driven, nearby=True)
-    moved = float(np.abs(system.space.difference(start, x)).max())
-    if "x0" not in values and moved > _MOVED and not _determined(system, x, driven):
+    held_joints = [_held(values, name) for name in ("x0", "xdot0")]
+    start, x = x, closed_shape(system, x, held_joints[0], driven=driven, nearby=True)
+    change = float(np.abs(system.space.difference(start, x)).max())
+    if "x0" not in values and change > _MOVED and not _determined(system, x, driven):
         names = listed([system.space.names[k] for k in driven], 6)
         raise InputError(
             f"prescribed: the Parameters move {names} at time 0 away from the scene's shape, and "
             f"do not determine the other joints of the loops of '{system.name}'. Also give x0, a "
             "shape that closes the loops at these positions."
         )
-    return np.concatenate([x, closed_rates(system, x, xdot, held[1], driven=driven)])
+    return np.concatenate([x, closed_rates(system, x, xdot, held_joints[1], driven=driven)])
 
 
 def _determined(system: System, x: Array, driven: Sequence[int]) -> bool:
@@ -157,9 +172,9 @@ def closing_slopes(
     """
     closure = system.closure
     assert closure is not None
-    rows, units = closure.rows, rate_units(system, closure.length)
+    equations, units = closure.rows, rate_units(system, closure.length)
     free = np.setdiff1d(np.arange(system.m), driven)
-    J = loop_jacobian(system, x)[rows]
+    J = loop_jacobian(system, x)[equations]
     P = np.eye(system.m)
     P[free] -= units[free, None] * np.linalg.lstsq((J * units)[:, free], J)[0]
     tree = system.open_tree()
@@ -169,7 +184,7 @@ def closing_slopes(
     mobility, K = J[:, free] @ response, np.zeros(J.T.shape)
     K[free] = np.linalg.solve(mobility, response.T).T
     Pi = np.eye(system.m) - K @ J
-    rates = [loop_jacobian_rate(system, x, direction)[rows] for direction in P.T]
+    rates = [loop_jacobian_rate(system, x, direction)[equations] for direction in P.T]
     by_x = np.column_stack([-K @ (rate @ xdot) for rate in rates])
     change = raw - xdot
     if np.abs(change).max() > _OPEN * np.abs(raw).max():
@@ -326,18 +341,18 @@ class Inputs:
             if place is None:
                 if name not in self._parameters:
                     self._check_names([name], self.known)
-                slopes, own = self._slopes[name], self._values[name]
-                if isinstance(own, np.ndarray):
+                slopes, own_value = self._slopes[name], self._values[name]
+                if isinstance(own_value, np.ndarray):
                     # Add entry by entry, so that a vector has the bits of scalar parameters.
-                    entries = vector(value, len(own), name)
-                    for k in range(len(own)):
-                        constants[self._numbers_at] += slopes[:, k] * (entries[k] - own[k])
+                    entries = vector(value, len(own_value), name)
+                    for k in range(len(own_value)):
+                        constants[self._numbers_at] += slopes[:, k] * (entries[k] - own_value[k])
                     forces[name] = entries
                     continue
                 number = value
                 if type(value) is not float or not isfinite(value):
                     number = float(vector(np.ravel(value), 1, name)[0])
-                constants[self._numbers_at] += slopes[:, 0] * (number - own)
+                constants[self._numbers_at] += slopes[:, 0] * (number - own_value)
                 forces[name] = number
             elif name == "pose0":
                 state[place] = self._system.group.pose(value)
@@ -488,9 +503,9 @@ class Inputs:
         raw = xdot if at.rates is None else at.rates
         shape, by_shape, by_rates = closing_slopes(system, x, xdot, raw, planned.joints)
         by_numbers = planned.slopes(x, at.constants[self._numbers_at])
-        own = np.eye(system.m)
-        own[:, list(planned.joints)] = 0.0  # these entries of x0 and xdot0 are planned
-        changes = {"x0": (own, np.zeros_like(own)), "xdot0": (np.zeros_like(own), own)}
+        free = np.eye(system.m)
+        free[:, list(planned.joints)] = 0.0  # these entries of x0 and xdot0 are planned
+        changes = {"x0": (free, np.zeros_like(free)), "xdot0": (np.zeros_like(free), free)}
         for name in names:
             span = self._spans[name]
             if name in self._slopes:

@@ -1,20 +1,35 @@
-"""A flow as a JAX function: one XLA call under jit, grad, jvp and vmap."""
+"""A flow as a JAX function: one XLA call under jit, grad, jvp and vmap, without a compiler.
+
+XLA passes the address of a call frame, a C structure of version 0 of xla/ffi/api/c_api.h, which
+jaxlib contains.  The frame is read as words of eight bytes.  Only the fields whose
+word indices are defined below are read; fields that newer versions append are ignored.  One
+handler serves all functions: an attribute of the call is the number of the function.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import numpy as np
+import ctypes
+from collections.abc import Callable
+from collections.abc import Sequence
 from math import prod
 from typing import Any
-
-import numpy as np
-
-from ...common.errors import InputError, MissingPackageError
+from ...common.errors import InputError
+from ...common.errors import MissingPackageError
 from ...common.installation import optional_package
 from ...common.memo import once_for_all
-from . import xla_call
-from .flow_columns import FIRST_ORDER, Batched, Columns
+from .flow_columns import FIRST_ORDER
+from .flow_columns import Batched
+from .flow_columns import Columns
+from dataclasses import dataclass
+from itertools import count
+from llvmlite import ir
+from ...common.arrays import Array
+from ...integrators.stepping import numba_core
+from ...integrators.stepping.compiling import compiled
+from ...integrators.stepping.compiling import make_intrinsic
 
-_OLDEST = (0, 10, 0)  # Oldest version of JAX with the call frames that xla_call reads.
+_OLDEST = (0, 10, 0)  # Oldest version of JAX with the call frames that are read here.
 
 
 def jax_function(columns: Columns) -> Callable[..., Any]:
@@ -37,7 +52,7 @@ def jax_function(columns: Columns) -> Callable[..., Any]:
             f"this needs JAX 0.10 or newer, but version {jax.__version__} is installed"
         )
     primitives = _primitives()
-    numbers = tuple(map(xla_call.numbered, _xla_functions(columns)))
+    numbers = tuple(map(numbered, _xla_functions(columns)))
 
     def flow(*positional: Any, **named: Any) -> Any:
         arrays = []
@@ -53,7 +68,7 @@ def jax_function(columns: Columns) -> Callable[..., Any]:
     return flow
 
 
-def _xla_functions(columns: Columns) -> list[xla_call.Function]:
+def _xla_functions(columns: Columns) -> list[Function]:
     """Return the functions that XLA calls: value, jvp and vjp.
 
     The arguments of jvp are the inputs and their directions; the arguments of vjp are the inputs
@@ -73,9 +88,9 @@ def _xla_functions(columns: Columns) -> list[xla_call.Function]:
             output[...] = derivative
 
     return [
-        xla_call.Function(columns.value_of, n, value),
-        xla_call.Function(lambda both: columns.jvp_of(both[:n], both[n:]), 2 * n, jvp),
-        xla_call.Function(lambda both: columns.vjp_of(both[:n], both[n:]), n + columns.size, vjp),
+        Function(columns.value_of, n, value),
+        Function(lambda both: columns.jvp_of(both[:n], both[n:]), 2 * n, jvp),
+        Function(lambda both: columns.vjp_of(both[:n], both[n:]), n + columns.size, vjp),
     ]
 
 
@@ -127,7 +142,7 @@ class _Primitives:
         from jax.core import ShapedArray
         from jax.interpreters import batching, mlir
 
-        xla_call.register()
+        register()
         primitive.multiple_results = True
 
         def output_shapes(*arguments: Any, sizes: Any, **_: Any) -> list[Any]:
@@ -141,7 +156,7 @@ class _Primitives:
             ]
             if not prod(shapes[0].shape):
                 return [jax.numpy.zeros(a.shape, a.dtype) for a in shapes]
-            target = jax.ffi.ffi_call(xla_call.TARGET, shapes)
+            target = jax.ffi.ffi_call(TARGET, shapes)
             return target(*arguments, function=np.int64(numbers[index]))
 
         def batch(arguments: Any, axes: Any, **parameters: Any) -> Any:
@@ -199,3 +214,221 @@ def _differentiate_linear(
         primitive.bind(*primals, **parameters),
         primitive.bind(*primals[:fixed], *directions, **parameters),
     )
+
+
+TARGET = "pinred_function"
+
+# Word indices of a frame: for arguments, results and attributes, their number and the list of their
+# addresses.  Then the word indices of a buffer, XLA's data types, and the value of an attribute.
+EXTENSION, API = 1, 2
+ARGUMENTS, ARGUMENT_LIST, RESULTS, RESULT_LIST, ATTRIBUTES = 7, 9, 12, 14, 20
+TYPE, DATA, RANK, DIMS = 2, 3, 4, 5
+FLOAT, DOUBLE = 11, 12
+SCALAR_VALUE = 1
+
+
+def _memory(kind: str, pointed: Any) -> tuple[Any, Any]:
+    """Return load(address) and store(address, value) for one numeric type of numba."""
+
+    @make_intrinsic
+    def load(typing: Any, address: Any) -> Any:  # noqa: ARG001
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
+            return builder.load(builder.inttoptr(arguments[0], pointed.as_pointer()))
+
+        types: Any = numba_core.types
+        return getattr(types, kind)(types.int64), generate
+
+    @make_intrinsic
+    def store(typing: Any, address: Any, value: Any) -> Any:  # noqa: ARG001
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
+            builder.store(arguments[1], builder.inttoptr(arguments[0], pointed.as_pointer()))
+            return context.get_dummy_value()
+
+        types: Any = numba_core.types
+        return types.void(types.int64, getattr(types, kind)), generate
+
+    return load, store
+
+
+_word, _ = _memory("int64", ir.IntType(64))
+_double, _set_double = _memory("float64", ir.DoubleType())
+_float, _set_float = _memory("float32", ir.FloatType())
+
+
+@compiled
+def has_extension(frame: int) -> bool:
+    """Return whether the frame has an extension, by which XLA can request metadata."""
+    asks: bool = _word(frame + 8 * EXTENSION) != 0
+    return asks
+
+
+@compiled
+def function_of(frame: int) -> int:
+    """Return the number of the function to call, which is the only attribute of the call."""
+    scalar = _word(_word(frame + 8 * ATTRIBUTES))
+    value: int = _word(_word(scalar + 8 * SCALAR_VALUE))
+    return value
+
+
+@compiled
+def take_column(frame: int, out: Array) -> bool:
+    """Copy the arguments one after another to `out`; return whether they are vectors that fit."""
+    fits: bool = _pass(frame, ARGUMENTS, ARGUMENT_LIST, out, True)
+    return fits
+
+
+@compiled
+def give_column(frame: int, out: Array) -> bool:
+    """Copy `out` to the results one after another; return whether they are vectors that fit."""
+    fits: bool = _pass(frame, RESULTS, RESULT_LIST, out, False)
+    return fits
+
+
+@compiled
+def _pass(frame: int, count: int, where: int, numbers: Array, take: bool) -> bool:
+    """Move numbers between the buffers of a frame and an array."""
+    buffers, total = _word(frame + 8 * where), 0
+    for k in range(_word(frame + 8 * count)):
+        buffer = _word(buffers + 8 * k)
+        if _word(buffer + 8 * RANK) != 1:
+            return False
+        size = _word(_word(buffer + 8 * DIMS))
+        kind, data = _word(buffer + 8 * TYPE) & 0xFFFFFFFF, _word(buffer + 8 * DATA)
+        if total + size > numbers.shape[0] or (kind != FLOAT and kind != DOUBLE):
+            return False
+        for i in range(size):
+            if kind == DOUBLE and take:
+                numbers[total + i] = _double(data + 8 * i)
+            elif kind == DOUBLE:
+                _set_double(data + 8 * i, numbers[total + i])
+            elif take:
+                numbers[total + i] = _float(data + 4 * i)
+            else:
+                _set_float(data + 4 * i, numbers[total + i])
+        total += size
+    fits: bool = total == numbers.shape[0]
+    return fits
+
+
+@dataclass(frozen=True)
+class Function:
+    """A Python function that XLA calls.
+
+    Attributes:
+        one: Function from all inputs in one vector, (size,), to all outputs in one vector.
+        size: Length of the vector of inputs.
+        many: Function of lists of inputs and outputs with leading axes, which fills the outputs.
+    """
+
+    one: Callable[[Array], Array]
+    size: int
+    many: Callable[[Sequence[Any], Sequence[Any]], None]
+
+
+_FRAME_WORDS, _BUFFER_WORDS = 21, 6  # Number of words of a frame and of a buffer.
+# An extension of type 1 asks for the version of the interface, which is copied from the API to
+# the metadata of the extension.  In both structures the version follows a few other words.
+_ASKS_FOR_VERSION, _METADATA = 1, 3
+_VERSION_IN_METADATA, _VERSION_IN_API, _VERSION_NUMBERS = 1, 2, 2
+_MAKE_ERROR = 6  # Index in the API of the function that builds an error.
+_INVALID, _INTERNAL = 3, 13  # XLA's error codes.
+_FLOATS: dict[int, Any] = {FLOAT: ctypes.c_float, DOUBLE: ctypes.c_double}
+
+
+class _ErrorArguments(ctypes.Structure):
+    _fields_ = [
+        ("size", ctypes.c_size_t),
+        ("extension", ctypes.c_void_p),
+        ("message", ctypes.c_char_p),
+        ("code", ctypes.c_int),
+    ]
+
+
+_make_error = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(_ErrorArguments))
+_functions: dict[int, Function] = {}
+_numbers = count()
+
+
+def numbered(function: Function) -> int:
+    """Register a function, which stays registered until the process ends.
+
+    XLA does not report when the last program that calls the function is deleted.
+
+    Args:
+        function: The function.
+    Returns:
+        The number of the function, which calls pass as an attribute.
+    """
+    number = next(_numbers)
+    _functions[number] = function
+    return number
+
+
+@once_for_all
+def register() -> None:
+    """Register the handler with XLA for the CPU platform.
+
+    A call of `jax.ffi` names TARGET; its attribute `function` is the index of the function.
+    """
+    import jax
+
+    jax.ffi.register_ffi_target(TARGET, jax.ffi.pycapsule(_HANDLER), platform="cpu")
+
+
+def _words(address: int, size: int) -> Any:
+    return (ctypes.c_int64 * size).from_address(address)
+
+
+def _arrays(size: int, where: int) -> list[Any]:
+    """Return arrays that share the memory of `size` buffers, whose addresses start at `where`."""
+    arrays = []
+    for address in _words(where, size):
+        buffer = _words(address, _BUFFER_WORDS)
+        shape = _words(buffer[DIMS], buffer[RANK])[:]
+        number = _FLOATS[buffer[TYPE] & 0xFFFFFFFF]
+        array = np.frombuffer((number * prod(shape)).from_address(buffer[DATA]), number)
+        arrays.append(array if len(shape) == 1 else array.reshape(shape))
+    return arrays
+
+
+def _answer(frame: Any) -> bool:
+    """Answer a request for the version; return whether the frame contains one."""
+    extension = _words(frame[EXTENSION], _METADATA + 1)
+    if extension[1] & 0xFFFFFFFF != _ASKS_FOR_VERSION:
+        return False
+    target = extension[_METADATA] + 8 * (_VERSION_IN_METADATA + _VERSION_NUMBERS)
+    source = frame[API] + 8 * (_VERSION_IN_API + _VERSION_NUMBERS)
+    ctypes.memmove(target, source, 8)
+    return True
+
+
+def _handle(address: int) -> int | None:
+    """Execute a call frame; return None, or the address of an XLA error."""
+    try:
+        is_request = has_extension(address) and _answer(_words(address, _FRAME_WORDS))
+        if not is_request:
+            function = _functions[function_of(address)]
+            column = np.empty(function.size)
+            if not (take_column(address, column) and give_column(address, function.one(column))):
+                frame = _words(address, _FRAME_WORDS)
+                function.many(
+                    _arrays(frame[ARGUMENTS], frame[ARGUMENT_LIST]),
+                    _arrays(frame[RESULTS], frame[RESULT_LIST]),
+                )
+    except BaseException as error:  # No Python exception may propagate through C.
+        invalid = isinstance(error, ValueError)
+        text = str(error) if invalid else f"{type(error).__name__}: {error}"
+        arguments = _ErrorArguments(
+            ctypes.sizeof(_ErrorArguments),
+            None,
+            text.encode(errors="replace"),
+            _INVALID if invalid else _INTERNAL,
+        )
+        xla_error: int | None = _make_error(
+            _words(_words(address, _FRAME_WORDS)[API], _MAKE_ERROR + 1)[_MAKE_ERROR]
+        )(ctypes.byref(arguments))
+        return xla_error
+    return None
+
+
+_HANDLER = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(_handle)

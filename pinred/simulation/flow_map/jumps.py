@@ -22,24 +22,27 @@ do not jump, so steps 1 and 4 cancel.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
-
 import numpy as np
-
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import field
+from functools import cached_property
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...integrators.solution import Solution
 from ...integrators.stepping.state_rows import unit_alone
 from ...kernels.evaluate import evaluate
-from ...kernels.flow_functions import outcome_of, reference_size
-from ...kernels.kernel import Kernel, Layout
+from ...kernels.flow_functions import outcome_of
+from ...kernels.flow_functions import reference_size
+from ...kernels.kernel import Kernel
+from ...kernels.kernel import Layout
 from ...scene.stop import Bound
 from ...system.coordinates import Indices
 from ...system.system import System
 from ..compiled.compiled_flow import CompiledFlow
-from ..plan import Plan, Span
+from ..plan import Plan
+from ..plan import Span
 
 _SAME = 1e-9  # derivatives of switch times with a smaller relative difference are equal
 
@@ -97,13 +100,13 @@ def jumps_of(
     """
     if not plan.stops_vary or len(spans) < 2 or plan.forces is None:
         return {}
-    rows = plan.forces.switching.slopes(np.array([span.stop for span in spans]), numbers)
+    slopes = plan.forces.switching.slopes(np.array([span.stop for span in spans]), numbers)
     jumps = {}
     for k in range(len(spans) - 1):
         y = solutions[k + 1].states[0].copy()
         unit_alone(y, kernel.layout.quaternions)
         params = [solution.params for solution in solutions[k : k + 2]]
-        jump = jump_between(kernel, params, y, float(spans[k].stop), rows[k])
+        jump = jump_between(kernel, params, y, float(spans[k].stop), slopes[k])
         if jump is not None:
             jumps[k + 1] = jump
     return jumps
@@ -123,7 +126,7 @@ def jump_between(
     """
     if not slopes.any():
         return None
-    before, after = (evaluate(kernel.rate.address, own, y[None], len(y))[0] for own in params)
+    before, after = (evaluate(kernel.rate.address, p, y[None], len(y))[0] for p in params)
     change = before - after
     return Jump(time, change, slopes) if change.any() else None
 
@@ -254,11 +257,11 @@ class Rates:
         self.xdot = function.at(a, b, m)
         self.by_z = np.zeros((len(joints), slots.size))
         self.by_constants = np.zeros((len(joints), layout.parameters - head))
-        for row, j in enumerate(joints):
+        for index, j in enumerate(joints):
             by_a, by_b = function.reverse(a, b, np.eye(m)[j])
-            self.by_z[row, slots.state] = by_a[: layout.size]
-            self.by_z[row, slots.constant] = by_b[:head]
-            self.by_constants[row] = by_b[head : layout.parameters]
+            self.by_z[index, slots.state] = by_a[: layout.size]
+            self.by_z[index, slots.constant] = by_b[:head]
+            self.by_constants[index] = by_b[head : layout.parameters]
 
     def along(self, Z: Array) -> Array:
         """Return the derivatives (K, N) of the rates along N columns of (z, constants)."""

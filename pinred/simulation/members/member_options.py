@@ -49,10 +49,9 @@ from ...system.coordinates import Indices
 from ...system.model_parameters import GRAVITY, kinds_near, requested, size_of
 from ...system.system import System, in_gravity, nominal
 from ..closed_loops import may_pass_singular_shape
-from ..plan import MemberParameters
+from ..plan import Group, MemberParameters, Members, members_plan
 from ..robot_columns import RobotColumns, with_own
 from ..simulate import as_scene, trajectory_of
-from .member_groups import Group, Members, members_plan
 from .trajectories import Batch, Failure
 
 
@@ -72,13 +71,13 @@ def varying_parameters(
     Raises:
         ShapeError: One of `members` is a vector, but has a single value.
     """
-    known = force_parameters(base) if isinstance(base, Scene) else {}
+    parameters = force_parameters(base) if isinstance(base, Scene) else {}
     varying = {}
     for name, value in values.items():
         axes: tuple[int, ...] = (1, 2)
         if name in robot:
             axes = (2,) if robot[name] > 1 else (1,)
-        elif isinstance(vector := known.get(name), VectorParameter):
+        elif isinstance(vector := parameters.get(name), VectorParameter):
             axes = (2,)
             if name in members and dimensions(value) != 2:
                 raise ShapeError(
@@ -91,52 +90,13 @@ def varying_parameters(
 
 def rows_of(value: Any, name: str) -> Array:
     """Return the values (N,), or (N, k), of a parameter.  Raises ShapeError."""
-    rows = as_floats(value, name)
-    return vectors(rows, rows.shape[-1], f"parameters['{name}']")
+    numbers = as_floats(value, name)
+    return vectors(numbers, numbers.shape[-1], f"parameters['{name}']")
 
 
 def force_parameters(scene: Scene) -> dict[str, Parameter | VectorParameter]:
     """Return the parameters in forces and signals of a scene, by name."""
     return {} if scene.force_model is None else by_name(scene.force_model.parameters)
-
-
-def check_varying(
-    varying: Mapping[str, Array], scene: Scene, robot: Collection[str],
-    states: Sequence[str], options: str,
-) -> None:  # fmt: skip
-    """Check that parameters can vary in scenes, and the shapes of their values.
-
-    Args:
-        varying: Values by name, (N,) or (N, k).
-        scene: Scene of the members.
-        robot: Names of robot parameters.
-        states: Names of the initial states that can vary, for the message.
-        options: Description of what can vary, for the message.
-    Raises:
-        InputError: A name is not that of a parameter.
-        ShapeError: A value has the wrong shape.
-    """
-    known = force_parameters(scene)
-    for name, values in varying.items():
-        if name in robot:
-            continue
-        if name not in known:
-            refuse_entry(name, known, "members")
-            names = list(known)
-            raise InputError(
-                f"members: {brief(name)} cannot vary in these scenes; "
-                f"{kinds_near(scene.system, name, [*states, *names])}; these scenes accept "
-                f"{options}: {listed(names, 60) or 'none'}"
-            )
-        parameter = known[name]
-        size = (len(parameter),) if isinstance(parameter, VectorParameter) else ()
-        if values.shape[1:] != size:
-            expected = ", ".join(["N", *map(str, size)]) + ("" if size else ",")
-            hint = " For one value of all members, pass a Scene with it." if size else ""
-            raise ShapeError(
-                f"parameters['{name}'] must have shape ({expected}) for N members, "
-                f"got {values.shape}.{hint}"
-            )
 
 
 def member_numbers(
@@ -177,8 +137,8 @@ def with_prescribed_joints(
         return scene.with_prescribed(x, xdot)
     x, xdot, joints = x.copy(), xdot.copy(), list(model.joints)
     coordinates = scene.system.space.coordinates_of_joints(joints)
-    for k, row in enumerate(numbers):
-        planned = model.prescribed(0.0, row)
+    for k, numbers_of_member in enumerate(numbers):
+        planned = model.prescribed(0.0, numbers_of_member)
         x[k, coordinates], xdot[k, joints] = planned.x, planned.xdot
     return x, xdot
 
@@ -199,12 +159,12 @@ def close_members(scene_of: Callable[[int], Scene], count: int) -> tuple[Array, 
         warnings.simplefilter("always")
         for member in range(count):
             try:
-                given = scene_of(member).given
+                closed = scene_of(member).given
             except InputError as error:
                 reasons[member] = str(error)
                 continue
-            shapes.append(given.x)
-            rates.append(given.xdot)
+            shapes.append(closed.x)
+            rates.append(closed.xdot)
     if reasons:
         raise RejectedValuesError(reasons)
     _warn_once(caught, count)
@@ -367,7 +327,7 @@ class MemberOptions:
 
     def _count(self) -> int:
         sizes = {n: len(v) for n, v in (self.states | self.parameters).items()}
-        sizes |= {name: len(rows) for name, rows in self.stops.items()}
+        sizes |= {name: len(numbers) for name, numbers in self.stops.items()}
         if self.gravity is not None:
             sizes["gravity"] = len(self.gravity)
         if self.seeds is not None:
@@ -416,7 +376,7 @@ class MemberOptions:
         """Return the stops of a member if their numbers vary.  Raises InputError."""
         stops = getattr(self.base, "stops", None)
         shared = parse_stops(self.common.get("stops", stops), self.system)
-        return changed_stops(shared, {name: rows[member] for name, rows in self.stops.items()})
+        return changed_stops(shared, {name: column[member] for name, column in self.stops.items()})
 
     def _refuse_starts_beyond_stops(self, scene: Scene, x: Array) -> None:
         """Raise RejectedValuesError if stops of members are not valid, or exclude their start."""
@@ -442,10 +402,10 @@ class MemberOptions:
         if len(members) == self.count:
             return self
         selected = copy(self)
-        selected.states = {name: rows[members] for name, rows in self.states.items()}
+        selected.states = _row(self.states, members)
         selected.by_name = {n: _row(values, members) for n, values in self.by_name.items()}
-        selected.parameters = {name: rows[members] for name, rows in self.parameters.items()}
-        selected.stops = {name: rows[members] for name, rows in self.stops.items()}
+        selected.parameters = _row(self.parameters, members)
+        selected.stops = _row(self.stops, members)
         selected.gravity = None if self.gravity is None else self.gravity[members]
         selected.seeds = None if self.seeds is None else [self.seeds[k] for k in members.tolist()]
         selected.count = len(members)
@@ -464,13 +424,42 @@ class MemberOptions:
                 "hold: members with different initial shapes cannot hold joints; give the scenes "
                 "as a list, or name the joints in prescribed"
             )
-        check_varying(self.parameters, template, self.robot, STATES, _OPTIONS)
+        self._check_varying(template)
         varying = [name for name in self.robot if name in self.parameters]
         if varying:
             template = with_own(template, varying)
         elif self.gravity is not None:
             template = replace(template, system=self.system)
         return template
+
+    def _check_varying(self, template: Scene) -> None:
+        """Check that the parameters can vary in the scene of all members, and their shapes.
+
+        Raises:
+            InputError: A name is not that of a parameter.
+            ShapeError: A value has the wrong shape.
+        """
+        parameters = force_parameters(template)
+        for name, values in self.parameters.items():
+            if name in self.robot:
+                continue
+            if name not in parameters:
+                refuse_entry(name, parameters, "members")
+                names = list(parameters)
+                raise InputError(
+                    f"members: {brief(name)} cannot vary in these scenes; "
+                    f"{kinds_near(self.system, name, [*STATES, *names])}; these scenes accept "
+                    f"{_OPTIONS}: {listed(names, 60) or 'none'}"
+                )
+            parameter = parameters[name]
+            size = (len(parameter),) if isinstance(parameter, VectorParameter) else ()
+            if values.shape[1:] != size:
+                expected = ", ".join(["N", *map(str, size)]) + ("" if size else ",")
+                hint = " For one value of all members, pass a Scene with it." if size else ""
+                raise ShapeError(
+                    f"parameters['{name}'] must have shape ({expected}) for N members, "
+                    f"got {values.shape}.{hint}"
+                )
 
     def members(self) -> Members:
         """Group the members by the kernel they share.  Raises InputError for invalid scenes."""
@@ -503,9 +492,9 @@ class MemberOptions:
     ) -> list[Group]:
         """Group members by the axes along which gravity acts."""
         assert self.gravity is not None
-        rows, which = np.unique(self.gravity, axis=0, return_inverse=True)
+        gravities, which = np.unique(self.gravity, axis=0, return_inverse=True)
         which = which.reshape(-1)
-        systems = [in_gravity(self.system, row) for row in rows]
+        systems = [in_gravity(self.system, gravity) for gravity in gravities]
         acting = np.array([acting_gravity(system) for system in systems])
         fall = np.array([falling(system) for system in systems])
         groups = []
@@ -561,7 +550,7 @@ class MemberOptions:
             ("v0", input_formats.parse_velocity, _OF_V),
         ):
             if option in states:
-                converted = [read(row, system) for row in states.pop(option)]
+                converted = [read(entry, system) for entry in states.pop(option)]
                 states |= {
                     n: np.array([getattr(state, field) for state in converted])
                     for n, field in fields
@@ -579,7 +568,7 @@ class MemberOptions:
         x = system.space.normalized(x, "x0", near=False)
         pose = np.repeat(common_states.pose, self.count, axis=0)
         if "pose0" in states:
-            pose = np.array([system.group.pose(row) for row in states["pose0"]])
+            pose = np.array([system.group.pose(entry) for entry in states["pose0"]])
         refuse_vague(np.abs(x).max(axis=0), system)
         if system.loops:
             x, xdot = close_members(self._scene, self.count)
@@ -596,10 +585,10 @@ def _parameter_values(system: System, parameters: Any, own: Mapping[str, Any]) -
     """Return the values of parameters= by name; a name without value has the scene's value."""
     if parameters is None or isinstance(parameters, Mapping):
         return dict(parameters or {})
-    values, others = requested(system, parameters)
-    if others:
+    values, unknown = requested(system, parameters)
+    if unknown:
         raise InputError(
-            f"parameters: {brief(others[0])} is not a robot parameter, so it needs a value. "
+            f"parameters: {brief(unknown[0])} is not a robot parameter, so it needs a value. "
             "Give {name: value}."
         )
     return values | {name: own[name] for name in values if name in own}
@@ -637,7 +626,7 @@ def _stop_rows(value: Any, name: str) -> Array:
 
 
 def _row(values: Mapping[str, Array], member: int | Indices) -> dict[str, Array]:
-    return {joint: rows[member] for joint, rows in values.items()}
+    return {joint: columns[member] for joint, columns in values.items()}
 
 
 def _checked_members(members: Mapping[str, Any] | None) -> Mapping[str, Any]:
@@ -671,8 +660,8 @@ def separate_rejected(options: MemberOptions, invalid: Invalid) -> tuple[Members
         reasons = _find_rejected(options, np.arange(options.count), error)
         if invalid == "raise" or len(reasons) == options.count:
             first = min(reasons)
-            kind = InputError if isinstance(error, RejectedValuesError) else type(error)
-            raise kind(f"member {first}: {reasons[first]}") from None
+            error_type = InputError if isinstance(error, RejectedValuesError) else type(error)
+            raise error_type(f"member {first}: {reasons[first]}") from None
     return _without(options, reasons)
 
 
@@ -736,8 +725,8 @@ def _find_rejected(options: MemberOptions, members: Indices, error: PinredError)
     """
     if isinstance(error, RejectedValuesError):
         reasons = {int(members[k]): reason for k, reason in error.reasons.items()}
-        others = np.setdiff1d(members, list(reasons))
-        return reasons | _try_members(options, others)
+        remaining = np.setdiff1d(members, list(reasons))
+        return reasons | _try_members(options, remaining)
     if len(members) == 1:
         return {int(members[0]): str(error)}
     halves = np.array_split(members, 2)

@@ -1,4 +1,7 @@
-"""Trajectories: the motions of all members, as arrays or one by one, and their files."""
+"""Trajectories: the motions of all members, as arrays or one by one, and their files.
+
+RecordedMembers are the motions that `Trajectories.save` wrote, read from a file.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +16,17 @@ from numpy.typing import NDArray
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
-from ...common.errors import InputError, IntegrationError
+from ...common.errors import InputError, IntegrationError, LoadError
 from ...common.files import check_path, write_atomic
-from ...common.names import listed, nearest, quoted
+from ...common.names import listed, nearest, quoted, quoted_path
+from ...lie.groups import GROUPS
 from ...scene.scene import Scene
 from ...system.coordinates import Indices
 from ...system.state_fields import FIELDS, ShapeState, State, arrays_of, axis_lengths, map_arrays
 from ...system.system import System, nominal
-from ..impacts import MemberImpacts, impact_arrays
-from ..over_time import OverTime, robot_arrays, write_zarr
+from ..impacts import MemberImpacts, impact_arrays, member_table_in
+from ..over_time import OverTime, read_zarr, robot_arrays, write_zarr
+from ..recording import MOST_BYTES, ORIGIN, Recording, load_recorded_robot, read_arrays
 from ..simulate import trajectory_of
 from ..trajectory import Cost, Trajectory
 
@@ -128,11 +133,11 @@ class Trajectories(OverTime):
     def _repr_html_(self) -> str:
         from ...common.html import card, table
 
-        rows = [(str(f.member), f.time, f.reason) for f in self.failures]
+        entries = [(str(f.member), f.time, f.reason) for f in self.failures]
         return card(
             "Trajectories",
             f"{len(self)} of {len(self.t)} times to {self.t[-1]:g} s, {len(self.failures)} failed",
-            table("members that did not reach their end", ["member", "t [s]", "reason"], rows),
+            table("members that did not reach their end", ["member", "t [s]", "reason"], entries),
         )
 
     @cached_property
@@ -191,9 +196,9 @@ class Trajectories(OverTime):
     @cached_property
     def outputs(self) -> State | ShapeState:
         """States of all members at the report times, (N, T, …), computed at first access."""
-        kind = State if self._wants_all else ShapeState
-        names = [name for name in kind.__dataclass_fields__ if name != "t"]
-        return kind(t=self.t, **self.fields(names))
+        state_type = State if self._wants_all else ShapeState
+        names = [name for name in state_type.__dataclass_fields__ if name != "t"]
+        return state_type(t=self.t, **self.fields(names))
 
     def fields(self, names: Sequence[str]) -> dict[str, Array]:
         """Compute some fields of the states of all members, without the others.
@@ -205,13 +210,13 @@ class Trajectories(OverTime):
         Raises:
             InputError: A name is unknown.
         """
-        kind = State if self._wants_all else ShapeState
-        known = [name for name in kind.__dataclass_fields__ if name != "t"]
+        state_type = State if self._wants_all else ShapeState
+        valid = [name for name in state_type.__dataclass_fields__ if name != "t"]
         for name in names:
-            if name not in known:
+            if name not in valid:
                 raise InputError(
-                    f"names: there is no field {quoted(name)}; {nearest(name, known)}the fields "
-                    f"are {listed(known, 60)}"
+                    f"names: there is no field {quoted(name)}; {nearest(name, valid)}the fields "
+                    f"are {listed(valid, 60)}"
                 )
         if "outputs" in vars(self):
             return {name: getattr(self.outputs, name) for name in names}
@@ -313,9 +318,9 @@ class Trajectories(OverTime):
         if batch.device is None:
             return batch.flow[k].states(self.t, batch.y[k])
         # Devices round otherwise, and these states are those of the arrays.
-        rows, missing = slice(k, k + 1), self._missing
+        at, missing = slice(k, k + 1), self._missing
         fields = {n: np.empty((1, *a.shape)) for n, a in arrays_of(missing).items() if n != "t"}
-        batch.flow[rows].fill_states(self.t, batch.y[rows], np.zeros(1, int), fields, batch.device)
+        batch.flow[at].fill_states(self.t, batch.y[at], np.zeros(1, int), fields, batch.device)
         return type(missing)(t=self.t, **{name: values[0] for name, values in fields.items()})
 
     def _place(self, member: int) -> tuple[Batch, int] | None:
@@ -335,11 +340,11 @@ def _up_to(traj: Trajectory, t: Array, system: System, *, wanted: bool) -> State
     if not reached.any():
         return _missing_states(system, t, wanted=wanted)
 
-    rows = np.searchsorted(traj.outputs.t, t[reached])
+    indices = np.searchsorted(traj.outputs.t, t[reached])
 
     def fill(missing: Array, values: Array) -> Array:
         filled = missing.copy()
-        filled[reached] = values[rows]
+        filled[reached] = values[indices]
         return filled
 
     return replace(map_arrays(fill, _missing_states(system, t, wanted=wanted), traj.outputs), t=t)
@@ -373,3 +378,128 @@ def _scene_arrays(scenes: Sequence[Scene]) -> dict[str, Any]:
         "parameter_sizes": np.array(list(sizes.values())),
         "parameter_values": np.array(entries),
     }
+
+
+@checks_arguments
+@dataclass(frozen=True, eq=False)
+class RecordedMembers(OverTime):
+    """Motions of one system, read from a file; the fields of State have shape (N, T, …).
+
+    Attributes:
+        path: Path of the file.
+        robot: Name of the robot.
+        group: Name of its symmetry group.
+        joints: Labels of the m shape rates.
+        content: States with members on the first axis; NaN at times that a member did not reach.
+        failures: Members that did not reach their end time.
+        impacts: The impacts at joint stops, with a column of members.
+        origin: Arrays of the file that state how the robot was loaded.
+    """
+
+    path: Path
+    robot: str
+    group: str
+    joints: tuple[str, ...]
+    content: State | ShapeState
+    failures: Sequence[Failure]
+    impacts: MemberImpacts
+    origin: Mapping[str, Any]
+
+    def __len__(self) -> int:
+        return len(self.content.x)
+
+    def __repr__(self) -> str:
+        return f"RecordedMembers({str(self.path)!r}, {len(self)} of {len(self.t)} times)"
+
+    def __getitem__(self, member: int) -> Recording:
+        """Return the motion of one member.
+
+        Args:
+            member: Index of the member.
+        Returns:
+            The motion.
+        Raises:
+            IntegrationError: The member did not reach its end time.
+        """
+        member = range(len(self))[member]
+        for failure in self.failures:
+            if failure.member == member:
+                raise IntegrationError(
+                    f"member {member} stopped at t = {failure.time:g} s: {failure.reason}"
+                )
+        content = replace(self.content, t=np.broadcast_to(self.t, self.content.energy.shape))
+        states = map_arrays(lambda values: values[member], content)
+        names = (self.path, self.robot, self.group, self.joints)
+        impacts = self.impacts.of_member(member)
+        return Recording(*names, states, self.origin, confirmed=True, impacts=impacts)
+
+    @property
+    def outputs(self) -> State | ShapeState:
+        """The states in the file, with members on the first axis."""
+        return self.content
+
+    @property
+    def _name(self) -> str:
+        return str(self.path)
+
+    @property
+    def t(self) -> Array:
+        """Report times, (T,) [s]."""
+        return self.content.t
+
+    @cached_property
+    def system(self) -> System:
+        """The robot, loaded at first access; its parameters are the nominal ones.
+
+        Raises LoadError.
+        """
+        return load_recorded_robot(self.path, self.robot, self.group, self.origin, confirmed=False)
+
+
+@checks_arguments
+def read_members(path: str | Path) -> RecordedMembers:
+    """Read the motions that `simulate_many(…).save` wrote to a .npz file or a .zarr folder.
+
+    Args:
+        path: Path of the file or folder.
+    Returns:
+        The motions.
+    Raises:
+        LoadError: The file cannot be read, or does not contain members.
+        MissingPackageError: zarr is needed and not installed.
+    """
+    path = Path(path)
+    content = read_zarr(path, MOST_BYTES) if path.suffix == ".zarr" else read_arrays(path)
+    state_type = State if State.__dataclass_fields__.keys() <= content.keys() else ShapeState
+    needed = {"robot", "group", "joints", "failure", "reached", *state_type.__dataclass_fields__}
+    name = quoted_path(path)
+    if missing := needed - content.keys():
+        raise LoadError(f"{name} does not contain members: it has no array '{min(missing)}'")
+    states = {
+        field: np.asarray(content[field], dtype=float) for field in state_type.__dataclass_fields__
+    }
+    times, count = len(states["t"]), len(content["failure"])
+    for field, values in states.items():
+        if field != "t" and values.shape[:2] != (count, times):
+            raise LoadError(
+                f"{name}: '{field}' has shape {values.shape}, not ({count}, {times}, …)"
+            )
+    try:
+        impacts = member_table_in(content, GROUPS[str(content["group"])].dim, count)
+    except (KeyError, ValueError) as error:
+        raise LoadError(f"{name}: {error}") from None
+    failures = [
+        Failure(k, float(content["reached"][k]), str(reason))
+        for k, reason in enumerate(content["failure"].tolist())
+        if reason
+    ]
+    origin = {key: content[key] for key in ORIGIN if key in content and key not in _OF_MEMBERS}
+    return RecordedMembers(
+        path, str(content["robot"]), str(content["group"]),
+        tuple(map(str, np.atleast_1d(content["joints"]))), state_type(**states), failures, impacts,
+        origin,
+    )  # fmt: skip
+
+
+# Arrays that have a row for each member.
+_OF_MEMBERS = ("gravity", "parameter_names", "parameter_sizes", "parameter_values")
