@@ -7,40 +7,35 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
 from ..common.errors import InputError
-from ..common.files import DATA
-from ..common.files import check_path
+from ..common.files import DATA, check_path
 from ..common.names import listed
-from .command_files import check_robot
-from .command_files import describe_file
-from .command_files import motion_in
-from .command_files import out_path
-from .command_files import print_report
-from .command_options import add_options
-from .command_options import add_parameters
-from .command_options import add_repeated
-from .command_options import add_robot
-from .command_options import add_scene
-from .command_options import assigned_in
-from .command_options import option_adder
-from .command_options import options_in
-from .command_options import parameters_in
-from .command_options import scene_of
+from .command_files import check_robot, describe_file, motion_in, out_path, print_report
+from .command_options import (
+    add_options,
+    add_parameters,
+    add_repeated,
+    add_robot,
+    add_scene,
+    assigned_in,
+    option_adder,
+    options_in,
+    parameters_in,
+    scene_of,
+)
 
 if TYPE_CHECKING:
     from ..scene.scene import Scene
     from ..scene.toml.reader import SceneFile
     from ..scene.toml.schema import Key
-    from ..simulation.contact.capture import Capture, Release
+    from ..simulation.contact.capture import Capture, Landing, Release
     from ..simulation.contact.chain import Chain
-    from ..simulation.contact.landing import Landing
     from ..simulation.plan import Plan
     from ..simulation.trajectory import Trajectory
     from ..sweeps.sweep_result import SweepResult
@@ -451,7 +446,7 @@ def add_land_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_land(arguments: argparse.Namespace) -> int:
     """Print the landing.  Returns 0, or the verdict of --compare."""
-    from ..simulation.contact.landing import land
+    from ..simulation.contact.capture import land
 
     _check_after(arguments)
     motion = _motion_before(arguments.motion)

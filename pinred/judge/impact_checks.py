@@ -27,9 +27,8 @@ from numpy.typing import ArrayLike
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
-from ..simulation.contact.capture import Capture, Release
+from ..simulation.contact.capture import Capture, Landing, Release
 from ..simulation.contact.chain import Chain, Impact
-from ..simulation.contact.landing import Landing
 from ..simulation.impacts import ImpactTable
 from ..simulation.trajectory import Trajectory
 from ..system.derived_systems import Instant

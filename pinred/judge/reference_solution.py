@@ -6,24 +6,28 @@ between motions have the units of the motion's size.
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+
+import numpy as np
+import pinocchio as pin
+
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
 from ..forces.switch_times import time_within
 from ..scene.scene import Scene
+from ..simulation.motion import Control, Replay
 from .full_dynamics import FullDynamics
-from .reference_integrators import AbaStopped
-from .reference_integrators import DenseOutput
-from .reference_integrators import Hairer
-from .reference_integrators import StiffIntegrator
-from .reference_integrators import TimeBudget
-from .reference_integrators import jacobian
-from ..simulation.motion import Control
-from ..simulation.motion import Replay
+from .reference_integrators import (
+    AbaStopped,
+    DenseOutput,
+    Hairer,
+    StiffIntegrator,
+    TimeBudget,
+    jacobian,
+)
+
 
 @dataclass(frozen=True)
 class FullMotion:

@@ -12,61 +12,30 @@ Of the forces in a robot's file, the options select the passive ones and the act
 
 from __future__ import annotations
 
-import numpy as np
-from collections.abc import Iterable
-from collections.abc import Mapping
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from numbers import Real
-from typing import TYPE_CHECKING
-from typing import Any
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
 from numpy.typing import ArrayLike
-from ..common.argument_kinds import build_from_text
-from ..common.argument_kinds import parse_call
-from ..common.arrays import Array
-from ..common.arrays import as_floats
-from ..common.arrays import entries_of
-from ..common.arrays import positive
-from ..common.arrays import read_only
-from ..common.arrays import vector
-from ..common.errors import InputError
-from ..common.errors import PinredError
-from ..common.errors import ShapeError
-from ..common.names import brief
-from ..common.names import listed
-from ..common.names import nearest
-from ..common.names import one_of
-from ..common.names import quoted
-from ..common.parameter import Parameter
-from ..common.parameter import VectorParameter
-from ..common.parameter import refuse_entry
-from ..forces.controller import Control
-from ..forces.controller import Controller
+
+from ..common.argument_kinds import build_from_text, parse_call
+from ..common.arrays import Array, as_floats, entries_of, positive, read_only, vector
+from ..common.errors import InputError, PinredError, ShapeError
+from ..common.names import brief, listed, nearest, one_of, quoted
+from ..common.parameter import Parameter, VectorParameter, refuse_entry
+from ..forces.controller import Control, Controller
 from ..forces.force import Force
-from ..forces.signals import Attitude
-from ..forces.signals import Constant
-from ..forces.signals import Expression
-from ..forces.signals import Signal
+from ..forces.signals import Attitude, Constant, Expression, Signal
 from ..forces.signals.attitude_signal import parse_attitude
-from ..integrators.methods import METHODS
-from ..integrators.methods import Method
-from ..system.coordinates import Configuration
-from ..system.coordinates import Velocity
+from ..integrators.methods import METHODS, Method
+from ..system.coordinates import Configuration, Velocity
 from ..system.coupling import following
-from ..system.model_parameters import ModelParameters
-from ..system.model_parameters import joined
-from ..system.model_parameters import kinds_near
-from ..system.model_parameters import plain_value
-from ..system.model_parameters import requested
-from ..system.system import System
-from ..system.system import nominal
+from ..system.model_parameters import ModelParameters, joined, kinds_near, plain_value, requested
+from ..system.passive import BallSpring, Damper, Friction, Spring
+from ..system.system import System, nominal
 from .initial_state import DURATION
-from ..system.ball_forces import BallSpring
-from ..system.passive import Damper
-from ..system.passive import Friction
-from ..system.passive import Spring
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
@@ -558,7 +527,7 @@ def actuation(system: System, controls: Mapping[str, Control] | Controller) -> t
         system: System with the actuators of its file.
         controls: Checked controls of the scene.
     """
-    from ..forces.actuation import Actuation
+    from ..forces.controller import Actuation
 
     if isinstance(controls, Controller):
         return (controls,)

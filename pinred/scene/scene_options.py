@@ -10,63 +10,45 @@ The parameters of `pinred.load` and `pinred.sweep` have the names of their optio
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import field
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from math import inf
 from textwrap import fill
-from typing import Any
-from typing import Literal
-from typing import TypeAlias
-from typing import TypedDict
-from typing import get_args
+from typing import Any, Literal, TypeAlias, TypedDict, get_args
+
 from numpy.typing import ArrayLike
-from ..common.argument_kinds import Default
-from ..common.argument_kinds import checks_arguments
+
+from ..common.argument_kinds import Default, checks_arguments
 from ..common.parameter import Parameter
-from ..forces.controller import Control
-from ..forces.controller import Controller
+from ..forces.controller import Control, Controller
 from ..forces.force import Force
-from ..forces.signals import Attitude
-from ..forces.signals import Signal
-from ..integrators.methods import METHODS
-from ..integrators.methods import Method
-from ..integrators.methods import options_of
+from ..forces.signals import Attitude, Signal
+from ..integrators.methods import METHODS, Method, options_of
 from ..integrators.methods import Option as MethodOption
-from ..integrators.methods.method import ATOL
-from ..integrators.methods.method import RTOL
+from ..integrators.methods.method import ATOL, RTOL
 from ..lie.groups import GROUPS
 from ..system.loops.loop import KINDS
 from ..system.system import System
-from .event import EVENT_TABLE
-from .event import Event
+from .event import EVENT_TABLE, Event
 from .initial_state import DURATION
 from .input_formats import EVEN_TIMES
-from .stop import STOPS
-from .stop import BallStop
-from .stop import Stop
-from .toml.schema import ByName
-from .toml.schema import Either
-from .toml.schema import Flag
-from .toml.schema import Key
-from .toml.schema import ListOf
-from .toml.schema import Node
-from .toml.schema import Schema
-from .toml.schema import Table
-from .toml.schema import Tagged
-from .toml.schema import Text
-from .toml.schema import Whole
-from .toml.schema import Place
-from .toml.value_tables import ACTION
-from .toml.value_tables import FORCE
-from .toml.value_tables import NUMBER
-from .toml.value_tables import NUMBERS
-from .toml.value_tables import PLAN
-from .toml.value_tables import POSITIVE
-from .toml.value_tables import SHAPE
-from .toml.value_tables import NamedNumbers
+from .stop import STOPS, BallStop, Stop
+from .toml.schema import (
+    ByName,
+    Either,
+    Flag,
+    Key,
+    ListOf,
+    Node,
+    Place,
+    Schema,
+    Table,
+    Tagged,
+    Text,
+    Whole,
+)
+from .toml.value_tables import ACTION, FORCE, NUMBER, NUMBERS, PLAN, POSITIVE, SHAPE, NamedNumbers
+
 
 def _method_table(method: type[Method]) -> Table:
     """Return the table (keys of a scene file) for a method's options."""

@@ -6,36 +6,23 @@ Internally, every stop bounds an independent joint: the stop of a follower is mo
 from __future__ import annotations
 
 import math
-import numpy as np
-from collections.abc import Mapping
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
+
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import InputError
-from ..common.names import brief
-from ..common.names import listed
-from ..common.names import nearest
-from ..common.names import quoted
+from ..common.names import brief, listed, nearest, quoted
 from ..system.loops.kinematics import on_surfaces
-from ..system.loops.loop import BallSurface
-from ..system.loops.loop import Constraint
-from ..system.loops.loop import JointPolynomial
+from ..system.loops.loop import BallSurface, Constraint, JointPolynomial
 from ..system.merge_hinges import LIMITS as LIMITS_OF_HINGES
-from ..system.passive import UNLIMITED
-from ..system.passive import angles_of_balls
-from ..system.passive import limits_of
+from ..system.passive import UNLIMITED, angles_of_balls, limits_of
 from ..system.system import System
-from .toml.schema import ByName
-from .toml.schema import Either
-from .toml.schema import Key
-from .toml.schema import ListOf
-from .toml.schema import Table
-from .toml.schema import Text
-from .toml.value_tables import NUMBER
-from .toml.value_tables import POSITIVE
+from .toml.schema import ByName, Either, Key, ListOf, Table, Text
+from .toml.value_tables import NUMBER, POSITIVE
 
 FILE = "file"  # value of the option for the limits of the robot's file
 STOP_TABLE = Table(

@@ -11,25 +11,21 @@ Forces are stiff if they decay fast. At zero momentum the linearisation of M ẍ
 
 from __future__ import annotations
 
-import numpy as np
 from dataclasses import dataclass
 from math import log10
+
+import numpy as np
+
 from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
 from ..common.memo import once
 from ..forces.force_model import ForceModel
-from ..forces.force_numbers import BaseInSpace
-from ..forces.force_numbers import ForceInputs
-from ..integrators.methods import DOP853
-from ..integrators.methods import DOP853_LEAST
-from ..integrators.methods import AdaptiveGauss
-from ..integrators.methods import Method
-from ..integrators.methods import Radau
+from ..forces.force_numbers import BaseInSpace, ForceInputs
+from ..integrators.methods import DOP853, DOP853_LEAST, AdaptiveGauss, Method, Radau
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.coupled_groups import Groups
-from ..reduction.tree.identical_branches import Lanes
-from ..reduction.tree.identical_branches import links_of
+from ..reduction.tree.identical_branches import Lanes, links_of
 from ..scene.scene import Scene
 from ..system.system import System
 

@@ -5,20 +5,17 @@ No simulation enforces these limits.  Balls have none.
 
 from __future__ import annotations
 
-import numpy as np
-from collections.abc import Iterator
-from collections.abc import Mapping
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
 from ..common.arrays import Array
-from ..common.memo import is_first
-from ..common.memo import once
+from ..common.memo import is_first, once
 from ..common.names import listed
 from ..scene.input_formats import list_forces
-from ..system.passive import StatedLimit
-from ..system.passive import limits_of
+from ..system.passive import StatedLimit, limits_of
 from ..system.system import nominal
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from ..common.errors import InputError
 from ..common.names import brief
 from ..common.waiting import Progress
 from ..forces.columns import Vector
-from ..forces.force_values import BaseInSpace
+from ..forces.force_numbers import BaseInSpace
 from ..forces.switch_times import time_within
 from ..scene.scene import Scene
 from ..scene.stop import Bound

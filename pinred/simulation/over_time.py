@@ -6,42 +6,44 @@ The formats of files are .npz, .csv, HDF5 (.h5), .zarr, and keyframes of MuJoCo 
 from __future__ import annotations
 
 import json
-import numpy as np
 from abc import abstractmethod
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import Any
-from typing import BinaryIO
+from typing import Any, BinaryIO
+
+import numpy as np
+
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import LoadError
-from ..common.files import check_path
-from ..common.files import write_atomic
-from ..common.installation import install_command
-from ..common.installation import optional_package
+from ..common.files import check_path, write_atomic
+from ..common.installation import install_command, optional_package
 from ..common.names import quoted_path
-from ..common.zarr_folders import create_array
-from ..common.zarr_folders import create_group
-from ..common.zarr_folders import import_zarr
-from ..common.zarr_folders import open_group
-from ..common.zarr_folders import replace_folder
+from ..common.zarr_folders import (
+    create_array,
+    create_group,
+    import_zarr,
+    open_group,
+    replace_folder,
+)
 from ..system.body_parameters import name_in_files
 from ..system.locked_joints import LockValue
 from ..system.model_parameters import GRAVITY
 from ..system.robot_file_contents import Origin
-from ..system.state_fields import FIELDS
-from ..system.state_fields import State
-from ..system.state_fields import StateArrays
-from ..system.state_fields import arrays_of
-from ..system.state_fields import axis_labels
-from ..system.state_fields import column_names
-from ..system.state_fields import dimension
-from ..system.state_fields import field_attributes
-from ..system.state_fields import with_base
-from ..system.system import System
-from ..system.system import nominal
-from .impacts import ImpactTable
-from .impacts import impact_arrays
+from ..system.state_fields import (
+    FIELDS,
+    State,
+    StateArrays,
+    arrays_of,
+    axis_labels,
+    column_names,
+    dimension,
+    field_attributes,
+    with_base,
+)
+from ..system.system import System, nominal
+from .impacts import ImpactTable, impact_arrays
+
 
 @checks_arguments
 class OverTime(StateArrays):

@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
-from collections.abc import Callable
-from collections.abc import Collection
-from collections.abc import Iterator
-from collections.abc import Mapping
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
 from ..common.arrays import Array
-from ..common.errors import InputError
-from ..common.errors import SymmetryError
+from ..common.errors import InputError, SymmetryError
 from ..kernels.kernel import Layout
-from ..reduction.potential import acting_gravity
-from ..reduction.potential import falling
-from ..reduction.tree.body_frames import Body
-from ..reduction.tree.body_frames import bodies_of
-from ..reduction.tree.body_frames import step_at
-from ..reduction.tree.free_bodies import frame_map
-from ..reduction.tree.free_bodies import link_numbers
-from ..reduction.tree.free_bodies import link_slopes
-from ..reduction.tree.free_bodies import step_of_body
-from ..reduction.tree.free_bodies import step_slopes
+from ..reduction.potential import acting_gravity, falling
+from ..reduction.tree.body_frames import Body, bodies_of, step_at
+from ..reduction.tree.free_bodies import (
+    frame_map,
+    link_numbers,
+    link_slopes,
+    step_of_body,
+    step_slopes,
+)
 from ..scene.scene import Scene
 from ..system.model_parameters import ModelParameters
-from ..system.system import in_gravity
-from ..system.system import nominal
+from ..system.system import in_gravity, nominal
 
 Slopes = dict[str, Array]
 

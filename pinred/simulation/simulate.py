@@ -19,9 +19,9 @@ from ..common.memo import is_first, once
 from ..common.names import brief, listed
 from ..common.waiting import LongRunNotice, Progress, shown
 from ..integrators.methods import EqualSteps
-from ..kernels.state_layout import Layout
+from ..kernels.kernel import Layout
+from ..reduction.cyclic_joints import SymmetricBall, axial_among, rotors_among
 from ..reduction.potential import falling
-from ..reduction.symmetric_balls import SymmetricBall, axial_among, rotors_among
 from ..scene.initial_state import large_angles
 from ..scene.scene import ENGINES, Engine, Scene, scene_of
 from ..scene.scene_options import SceneOptions

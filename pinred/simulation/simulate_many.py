@@ -4,45 +4,32 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Callable
-from collections.abc import Mapping
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
-from typing import Literal
-from typing import Unpack
-from ..common.argument_kinds import checks_arguments
-from ..common.argument_kinds import shows_fields
-from ..common.arrays import entries_of
-from ..common.arrays import whole
-from ..common.errors import InputError
-from ..common.errors import IntegrationError
-from ..common.errors import SceneWarning
-from ..common.names import brief
-from ..common.names import one_of
-from ..common.waiting import Progress
-from ..common.waiting import shown
+from typing import Any, Literal, Unpack
+
+from ..common.argument_kinds import checks_arguments, shows_fields
+from ..common.arrays import entries_of, whole
+from ..common.errors import InputError, IntegrationError, SceneWarning
+from ..common.names import brief, one_of
+from ..common.waiting import Progress, shown
 from ..integrators.methods import Explicit
 from ..scene.scene import Scene
 from ..scene.scene_options import SceneOptions
-from ..system.system import System
-from ..system.system import checked_system
+from ..system.system import System, checked_system
 from .compiled.code_ahead import expect_members
-from .members.member_options import INVALID
-from .members.member_options import Invalid
-from .members.member_options import MemberOptions
-from .members.member_options import separate_rejected
-from .members.member_options import warn_of_rejected
-from .members.trajectories import Batch
-from .members.trajectories import Failure
-from .members.trajectories import Trajectories
-from .simulate import free_joints_notice
-from .simulate import trajectory_of
+from .members.member_options import (
+    INVALID,
+    Invalid,
+    MemberOptions,
+    separate_rejected,
+    warn_of_rejected,
+)
+from .members.trajectories import Batch, Failure, Trajectories
+from .plan import Group, Members, of_scenes, refuse_with_stops
+from .simulate import free_joints_notice, trajectory_of
 from .trajectory import Trajectory
-from .plan import Group
-from .plan import Members
-from .plan import of_scenes
-from .plan import refuse_with_stops
+
 
 @checks_arguments
 @shows_fields(Scene)

@@ -27,7 +27,7 @@ from ..common.installation import __version__
 from ..common.names import brief
 from ..kernels.build import model_bytes
 from ..scene.scene import Scene
-from ..simulation.members.member_groups import members_plan
+from ..simulation.plan import members_plan
 from .sweep_job import SweepJob
 
 _FILE = "scene.signed"

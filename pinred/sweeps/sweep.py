@@ -4,57 +4,38 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-import numpy as np
-from collections.abc import Callable
-from collections.abc import Iterator
-from collections.abc import Mapping
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
-from typing import Any
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import whole
-from ..common.errors import InputError
-from ..common.errors import RejectedWarning
+from ..common.errors import InputError, RejectedWarning
 from ..common.files import is_folder
-from ..common.installation import install_command
-from ..common.installation import optional_package
-from ..common.installation import require_package
-from ..common.names import brief
-from ..common.names import nearest
-from ..common.names import one_of
-from ..common.names import quoted
-from ..common.names import quoted_path
-from ..common.waiting import Progress
-from ..common.waiting import say
-from ..common.waiting import shown
+from ..common.installation import install_command, optional_package, require_package
+from ..common.names import brief, nearest, one_of, quoted, quoted_path
+from ..common.waiting import Progress, say, shown
 from ..common.zarr_folders import import_zarr
 from ..scene.scene import Scene
-from ..scene.scene_options import BLOCK
-from ..scene.scene_options import SAMPLERS
-from ..scene.scene_options import Sampler
+from ..scene.scene_options import BLOCK, SAMPLERS, Sampler
+from ..simulation.plan import Group, members_plan, refuse_with_stops
 from ..simulation.simulate_many import check_device
-from .distributions import MOST_SOBOL
-from .distributions import Distribution
-from .distributions import Listed
-from .distributions import PointSequence
-from .distributions import grid_size
-from .distributions import parse_distribution
-from .sweep_job import FAILED
-from .sweep_job import REJECTED
-from .sweep_job import Block
-from .sweep_job import SweepJob
-from .sweep_outputs import Outputs
-from .sweep_outputs import parse_outputs
-from .sweep_store import SweepStore
-from .sweep_store import read_plan
+from .distributions import (
+    MOST_SOBOL,
+    Distribution,
+    Listed,
+    PointSequence,
+    grid_size,
+    parse_distribution,
+)
+from .sweep_job import FAILED, REJECTED, Block, SweepJob
+from .sweep_outputs import Outputs, parse_outputs
+from .sweep_store import SweepStore, read_plan
 from .varied_numbers import VariedScene
-from ..simulation.plan import Group
-from ..simulation.plan import members_plan
-from ..simulation.plan import refuse_with_stops
 
 if TYPE_CHECKING:
     from .sweep_result import SweepResult

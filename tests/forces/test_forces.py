@@ -2,37 +2,25 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import aba
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
+from forced_trees import against_aba, tree
+from hypothesis import given, settings
+from strategies import groups, seeds
+from trees import climbing_joint, random_model
+
 import pinred
-from typing import Any
-from forced_trees import against_aba
-from forced_trees import tree
-from hypothesis import given
-from hypothesis import settings
-from strategies import groups
-from strategies import seeds
-from trees import climbing_joint
-from trees import random_model
 from pinred.common.arrays import Array
-from pinred.forces import PD
-from pinred.forces import Controller
-from pinred.forces import Damper
-from pinred.forces import PotentialEnergy
-from pinred.forces import Spring
-from pinred.forces import Torque
-from pinred.forces import Wrench
+from pinred.forces import PD, Controller, Damper, PotentialEnergy, Spring, Torque, Wrench
 from pinred.forces.force import Force
 from pinred.lie import GROUPS
-from pinred.scene.scene import ENGINES
-from pinred.scene.scene import Engine
-from pinred.signals import Constant
-from pinred.signals import Hold
-from pinred.signals import Linear
-from pinred.signals import Spline
+from pinred.scene.scene import ENGINES, Engine
+from pinred.signals import Constant, Hold, Linear, Spline
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
 

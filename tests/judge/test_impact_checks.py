@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pytest
-import pinred
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
+
+import numpy as np
+import pytest
 from hybrid_reference import stops_of
 from random_stops import random_stops
 from slides import bouncing_slide
+
+import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import IntegrationError
 from pinred.forces import Torque
 from pinred.judge import impact_checks
 from pinred.judge.reference_integrators import TimeBudget
-from pinred.judge.step_defects import defect_units
-from pinred.judge.step_defects import full_states
-from pinred.judge.stop_reference import Hit
-from pinred.judge.stop_reference import StoppedFullState
-from pinred.judge.stop_reference import complementary
-from pinred.judge.stop_reference import matched
-from pinred.judge.stop_reference import stopped_full_state
+from pinred.judge.step_defects import defect_units, full_states
+from pinred.judge.stop_reference import (
+    Hit,
+    StoppedFullState,
+    complementary,
+    matched,
+    stopped_full_state,
+)
 from pinred.judge.verdict import Verdict
 from pinred.simulation import run_with_stops
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
-from pinred.simulation.impacts import impulses
-from pinred.simulation.impacts import solve_complementarity
+from pinred.simulation.impacts import impulses, solve_complementarity
 from pinred.simulation.reduced_flow import Segment
 
 START: dict[str, Any] = {

@@ -5,12 +5,10 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from strategies import Case, cases, make_case
+
 import pinred
-from hypothesis import given
-from hypothesis import settings
-from strategies import Case
-from strategies import cases
-from strategies import make_case
 from pinred.common.arrays import Array
 from pinred.kernels.kernel import Structure
 from pinred.kernels.reduced_graph import ReducedGraph
@@ -22,6 +20,7 @@ from pinred.reduction.tree.articulated_sweep import sweep
 from pinred.reduction.tree.body_frames import bodies_of
 from pinred.simulation.pinocchio_engine import PinocchioFlow
 from pinred.simulation.plan import plan_of
+
 
 def evaluate(function: ca.Function, *arguments: Array) -> Array:
     """Value of a CasADi function as a vector."""

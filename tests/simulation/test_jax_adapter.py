@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import lazy_loader
-import numpy as np
-import pytest
-import pinred
 from collections.abc import Iterator
 from dataclasses import replace
 from importlib.util import find_spec
 from threading import Thread
 from time import perf_counter
 from typing import Any
-from perturbed_cat import AT
-from perturbed_cat import BATCH
-from perturbed_cat import flow_of
-from twelve_gains import OTHER
-from twelve_gains import OWN
-from twelve_gains import assert_same_bits
-from twelve_gains import flow_pair
-from pinred import InputError
-from pinred import ShapeError
+
+import lazy_loader
+import numpy as np
+import pytest
+from perturbed_cat import AT, BATCH, flow_of
+from twelve_gains import OTHER, OWN, assert_same_bits, flow_pair
+
+import pinred
+from pinred import InputError, ShapeError
 from pinred.common.arrays import Array
-from pinred.simulation.flow_map.flow_columns import Columns
 from pinred.simulation.flow_map import jax_adapter
+from pinred.simulation.flow_map.flow_columns import Columns
 
 jax: Any = lazy_loader.load("jax") if find_spec("jax") else pytest.importorskip("jax")
 pytestmark = pytest.mark.slow

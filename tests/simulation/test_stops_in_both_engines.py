@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from pathlib import Path
-from typing import Any
 from ball_trees import joined_bodies
 from coupled_trees import make_case
 from loop_robots import five_bar
 from trees import random_model
+
+import pinred
 from pinred.cli.main import main
 from pinred.common.arrays import Array
-from pinred.forces import PD
-from pinred.forces import Controller
-from pinred.forces import Torque
-from pinred.forces import Wrench
+from pinred.forces import PD, Controller, Torque, Wrench
 from pinred.forces.signals.signal import Expression
 from pinred.judge.verdict import Verdict
 from pinred.scene.scene import Engine
 from pinred.simulation import run_with_stops
 from pinred.simulation.impacts import ImpactTable
-from pinred.simulation.pinocchio_engine import DEGREE
-from pinred.simulation.pinocchio_engine import PinocchioFlow
-from pinred.simulation.pinocchio_engine import integrator
+from pinred.simulation.pinocchio_engine import DEGREE, PinocchioFlow, integrator
 from pinred.simulation.plan import plan_of
 from pinred.system.force_interface import SeenState
 

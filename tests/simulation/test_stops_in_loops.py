@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
+from loop_robots import five_bar, four_bar, sliding_bars
+
 import pinred
-from dataclasses import replace
-from typing import Any
-from loop_robots import five_bar
-from loop_robots import four_bar
-from loop_robots import sliding_bars
 from pinred.common.errors import IntegrationError
 from pinred.forces import Torque
 from pinred.judge.verdict import Verdict

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
-import pytest
-import pinred
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
-from ball_trees import joined_bodies
-from ball_trees import random_body
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from ball_trees import joined_bodies, random_body
 from gyrostat import Gyrostat
-from pinred.forces import BallSpring
-from pinred.forces import Torque
-from pinred.forces import Wrench
-from pinred.judge.audit import audit_trajectory
-from pinred.judge.audit import axial_momentum_drifts
-from pinred.lie.rotations import quaternion_exp
-from pinred.lie.rotations import rotation
+
+import pinred
+from pinred.forces import BallSpring, Torque, Wrench
+from pinred.judge.audit import audit_trajectory, axial_momentum_drifts
+from pinred.lie.rotations import quaternion_exp, rotation
 from pinred.simulation import plan as plans
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import tracemalloc
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
+
 import pinred
-from typing import Any
 from pinred.common.errors import IntegrationError
-from pinred.forces import Command
-from pinred.forces import Controller
-from pinred.forces import Torque
+from pinred.forces import Command, Controller, Torque
 from pinred.integrators.thinned_run import ThinnedIntegration
 from pinred.simulation.compiled import integrator
 

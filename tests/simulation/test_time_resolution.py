@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
 import timed_torques
-import pinred
-from collections.abc import Callable
-from collections.abc import Iterator
-from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 from scipy.optimize import brentq
 from scipy.special import jv
+
+import pinred
 from pinred import Parameter
 from pinred.common.arrays import Array
-from pinred.forces import Torque
-from pinred.forces import time_functions
-from pinred.scene.scene import ENGINES
-from pinred.scene.scene import Engine
+from pinred.forces import Torque, time_functions
+from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Hold
-from pinred.simulation import step_limits
-from pinred.simulation import step_resolution
+from pinred.simulation import step_limits, step_resolution
+from pinred.simulation.flow_map import flow_run
 from pinred.simulation.members import integrate_members
 from pinred.simulation.plan import plan_of
 from pinred.simulation.step_limits import StepLimits
-from pinred.simulation.flow_map import flow_run
 
 CAT = pinred.load("falling_cat")
 CENTRE, WIDTH, RATE = Parameter("centre", 1.0), Parameter("width", 0.01), Parameter("rate", 1.0)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
+
 import pinred
-from typing import Any
 from pinred import InputError
 from pinred.forces import Damper
 from pinred.reduction.tree.body_frames import bodies_of

@@ -22,10 +22,10 @@ from ...common.errors import InputError, PinredError
 from ...common.names import quoted_path
 from ...forces import kinds
 from ...forces.force import Force
+from ...forces.kinds import AXES
 from ...forces.signals import Attitude, Constant, Expression, Fourier, Hold, Linear, Signal, Spline
 from ...forces.signals.attitude_signal import parse_attitude
-from ...forces.signals.tabulated import ENDS
-from ...forces.wrench import AXES
+from ...forces.signals.signal import ENDS
 from ...system.body_parameters import refuse_vague
 from ...system.model_parameters import kinds_near, size_of, with_parameters
 from ...system.system import System

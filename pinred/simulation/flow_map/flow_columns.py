@@ -12,31 +12,21 @@ inputs.
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Literal
+
 import casadi as ca
-from collections.abc import Callable
-from collections.abc import Iterator
-from collections.abc import Mapping
-from collections.abc import Sequence
-from typing import Any
-from typing import Literal
-from ...common.arrays import Array
-from ...common.arrays import as_floats
-from ...common.arrays import vectors
-from ...common.errors import InputError
-from ...common.errors import ShapeError
-from ...common.names import brief
-from ...common.names import listed
-from ...common.names import nearest
+import numpy as np
+
+from ...common.arrays import Array, as_floats, vectors
+from ...common.casadi_callback import ArrayCallback, dense
+from ...common.errors import InputError, ShapeError
+from ...common.names import brief, listed, nearest
 from ...integrators.methods import Explicit
-from ...kernels.flow_functions import Row
-from ...kernels.flow_functions import sizes_of
-from .inputs import Given
-from .inputs import Inputs
-from .propagator import Propagator
-from ...common.casadi_callback import ArrayCallback
-from ...common.casadi_callback import dense
+from ...kernels.flow_functions import Row, sizes_of
 from .flow_run import Run
+from .inputs import Given, Inputs
+from .propagator import Propagator
 
 # Up to this number of runs, one thread finishes before a second thread has started.
 _RUNS_OF_ONE_THREAD = 32

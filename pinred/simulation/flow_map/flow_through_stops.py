@@ -11,17 +11,15 @@ scene decides what is at once, and what is near.
 
 from __future__ import annotations
 
-import numpy as np
-from collections.abc import Collection
-from collections.abc import Iterator
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import replace
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
-from typing import get_args
+from typing import Any, get_args
+
+import numpy as np
 from numpy.polynomial import Chebyshev
+
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.names import listed
@@ -34,39 +32,20 @@ from ...kernels.flow_functions import Row
 from ...kernels.kernel import Layout
 from ...scene.input_formats import list_forces
 from ...scene.scene import Scene
-from ...scene.stop import BallBound
-from ...scene.stop import Bound
-from ...scene.stop import changed_stops
-from ...system.model_parameters import joined
-from ...system.model_parameters import plain_value
-from ...system.state_fields import Outcome
-from ...system.state_fields import ShapeState
-from ...system.state_fields import State
+from ...scene.stop import BallBound, Bound, changed_stops
+from ...system.model_parameters import joined, plain_value
+from ...system.state_fields import Outcome, ShapeState, State
 from ..compiled.compiled_flow import CompiledFlow
 from ..impacts import bernstein
-from ..plan import Span
-from ..plan import plan_of
-from ..plan import spans_between
+from ..plan import Span, plan_of, spans_between
 from ..robot_columns import without_own
-from ..run_with_stops import Phase
-from ..run_with_stops import StoppedMotion
-from ..run_with_stops import locked_scene
-from ..run_with_stops import margin_of
+from ..run_with_stops import Phase, StoppedMotion, locked_scene, margin_of
 from ..simulate import trajectory_of
 from ..trajectory import Trajectory
-from .inputs import Given
-from .inputs import motion_of
-from .inputs import stop_numbers_of
-from .jumps import Contact
-from .jumps import ImpactJump
-from .jumps import Jump
-from .jumps import Side
-from .jumps import Slots
-from .jumps import StopInputs
-from .jumps import jump_between
-from .jumps import jump_of
-from .propagator import Propagator
 from .flow_run import Run
+from .inputs import Given, motion_of, stop_numbers_of
+from .jumps import Contact, ImpactJump, Jump, Side, Slots, StopInputs, jump_between, jump_of
+from .propagator import Propagator
 
 _DEGREE = 8  # Degree of the polynomials that describe gaps within a step.
 _REAL = 1e-9  # Imaginary part of a real root, relative to the step.

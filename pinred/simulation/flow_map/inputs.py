@@ -15,47 +15,32 @@ of x0 is.
 
 from __future__ import annotations
 
-import casadi as ca
-import numpy as np
-from collections.abc import Collection
-from collections.abc import Mapping
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite
 from types import MappingProxyType
-from typing import TYPE_CHECKING
-from typing import Any
-from ...common.arrays import Array
-from ...common.arrays import entries_of
-from ...common.arrays import vector
-from ...common.errors import InputError
-from ...common.errors import ShapeError
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+
+from ...common.arrays import Array, entries_of, vector
+from ...common.errors import InputError, ShapeError
 from ...common.memo import once
-from ...common.names import brief
-from ...common.names import listed
-from ...common.names import nearest
-from ...common.parameter import VectorParameter
-from ...common.parameter import by_name
-from ...common.parameter import refuse_entry
+from ...common.names import brief, listed, nearest
+from ...common.parameter import VectorParameter, by_name, refuse_entry
 from ...forces.force_model import ForceModel
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers
-from ...scene.initial_state import HeldJoints
-from ...scene.initial_state import closed_rates
-from ...scene.initial_state import closed_shape
-from ...scene.initial_state import order_by_joint
+from ...scene.initial_state import HeldJoints, closed_rates, closed_shape, order_by_joint
 from ...scene.scene import Scene
 from ...scene.stop import stop_numbers
-from ...system.loops.kinematics import loop_jacobian
-from ...system.loops.kinematics import loop_jacobian_rate
-from ...system.loops.loop_assembly import loop_rates
-from ...system.loops.loop_assembly import rate_units
+from ...system.loops.kinematics import loop_jacobian, loop_jacobian_rate
+from ...system.loops.loop_assembly import loop_rates, rate_units
 from ...system.system import System
-from ..robot_columns import RobotColumns
-from ..robot_columns import with_own
+from ..robot_columns import RobotColumns, with_own
 
 if TYPE_CHECKING:
     from ...kernels.initial_conditions import TwistOrMomentum

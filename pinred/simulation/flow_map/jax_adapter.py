@@ -8,26 +8,23 @@ handler serves all functions: an attribute of the call is the number of the func
 
 from __future__ import annotations
 
-import numpy as np
 import ctypes
-from collections.abc import Callable
-from collections.abc import Sequence
-from math import prod
-from typing import Any
-from ...common.errors import InputError
-from ...common.errors import MissingPackageError
-from ...common.installation import optional_package
-from ...common.memo import once_for_all
-from .flow_columns import FIRST_ORDER
-from .flow_columns import Batched
-from .flow_columns import Columns
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import count
+from math import prod
+from typing import Any
+
+import numpy as np
 from llvmlite import ir
+
 from ...common.arrays import Array
+from ...common.errors import InputError, MissingPackageError
+from ...common.installation import optional_package
+from ...common.memo import once_for_all
 from ...integrators.stepping import numba_core
-from ...integrators.stepping.compiling import compiled
-from ...integrators.stepping.compiling import make_intrinsic
+from ...integrators.stepping.compiling import compiled, make_intrinsic
+from .flow_columns import FIRST_ORDER, Batched, Columns
 
 _OLDEST = (0, 10, 0)  # Oldest version of JAX with the call frames that are read here.
 

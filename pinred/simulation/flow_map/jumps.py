@@ -22,27 +22,24 @@ do not jump, so steps 1 and 4 cancel.
 
 from __future__ import annotations
 
-import numpy as np
-from collections.abc import Mapping
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+
+import numpy as np
+
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...integrators.solution import Solution
 from ...integrators.stepping.state_rows import unit_alone
 from ...kernels.evaluate import evaluate
-from ...kernels.flow_functions import outcome_of
-from ...kernels.flow_functions import reference_size
-from ...kernels.kernel import Kernel
-from ...kernels.kernel import Layout
+from ...kernels.flow_functions import outcome_of, reference_size
+from ...kernels.kernel import Kernel, Layout
 from ...scene.stop import Bound
 from ...system.coordinates import Indices
 from ...system.system import System
 from ..compiled.compiled_flow import CompiledFlow
-from ..plan import Plan
-from ..plan import Span
+from ..plan import Plan, Span
 
 _SAME = 1e-9  # derivatives of switch times with a smaller relative difference are equal
 
