@@ -78,11 +78,11 @@ class AmendedEnergy:
     def __init__(self, problem: Problem) -> None:
         """Prepare the quantities that do not depend on the point."""
         self.problem = problem
-        system, acting = problem.system, problem.plan.acting
+        system, plan = problem.system, problem.plan
         self._rows = [*range(system.r), *(system.r + k for k in problem.cyclic)]
         self._active = list(problem.active)
         self._driven = [system.r + k for k in problem.driven]
-        gravity = np.zeros(3) if acting.gravity is None else np.array(acting.gravity)
+        gravity = np.zeros(3) if plan.gravity is None else np.array(plan.gravity)
         self._gravity = system.mass * gravity
         self._origin = -float(self._gravity @ root_of(system).origin)
 

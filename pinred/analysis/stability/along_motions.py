@@ -274,7 +274,7 @@ def tangents_through_stops(
     scene = replace(scene, duration=period, times=np.array([period]), rtol=rtol, atol=atol)
     plan = plan_of(replace(scene, stops=None))
     propagator = StoppedPropagator(scene, ("x0", "xdot0"), zero_momentum=has_no_momentum(plan))
-    run = propagator.run(Inputs(scene, propagator.kernel, plan.acting.gravity, ()).own)
+    run = propagator.run(Inputs(scene, propagator.kernel, plan.gravity, ()).own)
     last = propagator.parts_of(run)[-1]
     motion = run.trajectory.motion
     assert isinstance(motion, StoppedMotion)

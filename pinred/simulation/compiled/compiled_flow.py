@@ -574,7 +574,7 @@ def flows_of(
         conditions.evaluate(states[part], numbers, values[part])
 
     _in_parts(len(states), threads, evaluate_part)
-    zeros = ~values[:, conditions.about].any(axis=1) & (not plan.acting.momentum_changes)
+    zeros = ~values[:, conditions.about].any(axis=1) & (not plan.momentum_changes)
     flows = []
     for zero in (False, True):
         indices = np.flatnonzero(zeros == zero)
