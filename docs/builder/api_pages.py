@@ -58,14 +58,14 @@ TASKS = (
     )),
     Task("compare", "Compare with the full simulation", ("judge.",)),
     Task("connections", "Connections, phases and gaits", (
-        "analysis.connections", "analysis.frames", "analysis.full_reduction", "analysis.gaits",
-        "analysis.phases", "planning.", "reduction.",
+        "analysis.connections", "analysis.full_reduction", "analysis.phases", "planning.",
+        "reduction.",
     )),
     Task("impacts", "Stops, captures, releases and landings", (
         "scene.stop", "simulation.contact", "simulation.impacts", "judge.compare_chain",
     )),
     Task("stability", "Steady motions and stability", (
-        "analysis.branches", "analysis.equilibria", "analysis.stability",
+        "analysis.equilibria", "analysis.stability",
     )),
     Task("space_arms", "Space arms", (
         "analysis.floating_arm", "analysis.reaction_free_path",

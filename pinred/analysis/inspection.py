@@ -11,11 +11,10 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import SymmetryError
 from ..common.waiting import Wait
-from ..reduction.cyclic_joints import cyclic_of
+from ..reduction.cyclic_joints import SymmetricBall, cyclic_of, symmetric_balls
 from ..reduction.pointwise_reduction import PointwiseReduction, ReducedShape, bracket_term
 from ..reduction.poisson_brackets import casimirs
 from ..reduction.potential import broken_by_gravity
-from ..reduction.symmetric_balls import SymmetricBall, symmetric_balls
 from ..scene.file_forces import actuators_left_out, passive_left_out
 from ..scene.scene import Scene
 from ..simulation.explain import skipped

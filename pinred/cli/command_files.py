@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
     from ..judge.compare_chain import ChainReport
     from ..judge.verdict import Report
-    from ..planning.optimisation.best_gait import BestGait
-    from ..planning.reorientation.flight_plan import FlightPlan
-    from ..planning.reorientation.turn_plan import TurnPlan
+    from ..planning.optimisation.optimise import BestGait
+    from ..planning.reorientation.flight_search import FlightPlan
+    from ..planning.reorientation.turning_loop import TurnPlan
     from ..views.motion_source import MotionSource
     from ..views.playback.view_options import View
 

@@ -490,7 +490,7 @@ def source_of(arguments: argparse.Namespace, *, gait: bool) -> GaitFile:
     import numpy as np
 
     from ..analysis.connections.connection import Connection, rest_of
-    from ..analysis.gaits.gait import Gait
+    from ..analysis.phases.gait import Gait
     from ..common.names import joint_index
     from ..planning.gait_file import GaitFile, load_gait
     from ..system.load import load

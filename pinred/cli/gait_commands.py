@@ -23,7 +23,7 @@ from .command_options import (
 )
 
 if TYPE_CHECKING:
-    from ..analysis.gaits.gait import Gait
+    from ..analysis.phases.gait import Gait
     from ..analysis.phases.phase import Phase
     from ..scene.toml.schema import Key
     from ..system.system import System

@@ -140,7 +140,7 @@ def _branches(
     options: dict[str, Any],
 ) -> int:
     """Follow branches between two momenta, print them, and draw a diagram.  Returns 0."""
-    from ..analysis.branches.follow import branches
+    from ..analysis.equilibria.branches import branches
     from ..common.files import FIGURES, check_path
 
     path = None if arguments.out is None else check_path(Path(arguments.out), FIGURES)

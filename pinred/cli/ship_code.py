@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis.gaits.gait import Gait
+from ..analysis.phases.gait import Gait
 from ..analysis.phases.phase import phase
 from ..analysis.stability.linearised_flow import linearised_flow
 from ..common.errors import InputError

@@ -13,7 +13,7 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import InputError
 from ..common.parameter import Parameter, parameter_of, value_in
-from ..reduction.symbolic_placements import height
+from ..reduction.tree.all_joints import height
 from ..system.system import System
 from .columns import seen_of_base, symbols_of, terms_of
 from .force import SymbolFunction, Symbols, Terms, called, scalar

@@ -17,9 +17,8 @@ from dataclasses import dataclass
 import casadi as ca
 
 from ..reduction.tree.all_joints import joint_rates, joint_values
-from ..reduction.tree.articulated_body import moved_twist
 from ..reduction.tree.articulated_sweep import step_of
-from ..reduction.tree.body_frames import bodies_of
+from ..reduction.tree.body_frames import bodies_of, moved_twist
 from ..reduction.tree.scalars import Rotation, Scalar, Turn, Vec, add, cross, dot, mul, plus
 from ..system.assembly import link_frame
 from ..system.force_interface import Load, Symbols

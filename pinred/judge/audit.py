@@ -32,8 +32,8 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import InputError
-from ..reduction.inertia_split import symmetric
-from ..reduction.symmetric_balls import SymmetricBall
+from ..reduction.cyclic_joints import SymmetricBall
+from ..reduction.pointwise_reduction import symmetric
 from ..simulation.balances import energy_balance, momentum_balance
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import State

@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
-from ..reduction.inertia_split import symmetric
+from ..reduction.pointwise_reduction import symmetric
 from ..simulation.contact.capture import Capture, Release
 from ..simulation.contact.chain import Chain, Impact
 from ..simulation.contact.landing import Landing

@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..forces.switch_times import time_within
-from ..reduction.inertia_split import symmetric
+from ..reduction.pointwise_reduction import symmetric
 from ..scene.scene import Scene
 from ..scene.stop import BallBound, BallStop, Stop
 from ..simulation.control import Replay

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from ..common.argument_kinds import checks_arguments
-from ..reduction.tree.casadi_reduction import casadi_reduction
+from ..reduction.tree.momenta import casadi_reduction
 from ..system.system import System
 from .reduced_graph import ReducedGraph
 from .state_layout import Layout, Structure

@@ -21,7 +21,7 @@ from ..common.machine_code import NativeCode, load_object
 from ..common.memo import once
 from ..common.object_cache import ObjectCache, cache_key
 from ..reduction.base_parts import BaseParts
-from ..reduction.inertia_split import mass_matrix_at
+from ..reduction.pointwise_reduction import mass_matrix_at
 from ..reduction.potential import translations
 from ..reduction.tree.all_joints import joint_values
 from ..reduction.tree.articulated_sweep import sweep

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..common.arrays import Array
 from ..forces.force_values import BaseInSpace, ForceInputs
-from ..reduction.inertia_split import mass_matrix_at
+from ..reduction.pointwise_reduction import mass_matrix_at
 from ..reduction.potential import acting_gravity, falling, translations
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.free_bodies import Freed, free_numbers, other_placement

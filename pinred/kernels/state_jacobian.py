@@ -2,7 +2,7 @@
 
 Kernels of open trees of hinges and slides have it as CasADi expressions, by a recursion.
 
-The chain rule connects the derivatives of the sweep (see reduction/tree/sweep_jacobian.py) with
+The chain rule connects the derivatives of the sweep (see reduction/tree/articulated_sweep.py) with
 those of forces and of the base, which CasADi computes.
 """
 
@@ -17,10 +17,10 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.machine_code import NativeCode
 from ..forces.force_model import ForceModel
+from ..reduction.tree.articulated_sweep import sweep_jacobian
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.identical_branches import Lanes, Mark
 from ..reduction.tree.scalars import Mat
-from ..reduction.tree.sweep_jacobian import sweep_jacobian
 from ..system.system import System
 from .derived_code import derived_code, jacobian_by_columns, tangent_of, validate_jacobian
 from .differentiable import call_value

@@ -22,11 +22,24 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
+from ..common.names import quoted
 from ..system.loops.looped_system import loop_jacobian, loop_jacobian_rate
 from ..system.system import System
-from .inertia_split import com_derivative, lost_inertia, symmetric, usual_inertias
+from .pointwise_reduction import (
+    com_derivative,
+    mass_matrix,
+    symmetric,
+    usual_inertias,
+    usual_mass_matrices,
+)
 from .potential import Potential
 from .tree.loop_constraints import GAUGE_RATE
+
+# The mass matrix counts as singular if its least eigenvalue is below this multiple of its typical
+# value.  The eigenvalue falls with the square of the distance from a singular shape.
+_SINGULAR = 1e-6
+# A coordinate belongs to a singular motion if its amplitude exceeds this fraction of the largest.
+_SHARE = 0.1
 
 
 class CanonicalForm:
@@ -170,3 +183,33 @@ class CanonicalForm:
                 f"{lost_inertia(self._system, x)}"
             )
         return np.asarray(v)
+
+
+def lost_inertia(system: System, x: Array) -> str:
+    """Describe the joint that moves almost no mass, for the end of an error message.
+
+    Args:
+        system: The system.
+        x: Shape, (m,).
+    Returns:
+        The description. It is empty if the least eigenvalue of the mass matrix, scaled by typical
+        inertias, is not far below its value at random shapes.
+    """
+    if not np.isfinite(x).all():
+        return ""
+    size, usual_matrices = np.sqrt(usual_inertias(system)), usual_mass_matrices(system)
+    if not (size > 0.0).all():
+        return ""
+    scale = np.outer(size, size)
+    usual = float(np.median([np.linalg.eigvalsh(H / scale)[0] for H in usual_matrices]))
+    eigenvalues, directions = np.linalg.eigh(mass_matrix(system, x) / scale)
+    if not eigenvalues[0] < _SINGULAR * usual:
+        return ""
+    share = np.abs(directions[:, 0])
+    i = int(np.argmax(share > _SHARE * share.max()))
+    who = (
+        f"the root joint {quoted(system.root_name)}"
+        if i < system.r
+        else f"joint {quoted(system.shape_names[i - system.r])}"
+    )
+    return f"; the mass matrix is singular there or nearby, where {who} moves no mass"

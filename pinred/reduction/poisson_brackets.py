@@ -55,8 +55,7 @@ from .pointwise_reduction import PointwiseReduction
 from .potential import pivot_weight, shape_gravity
 from .tree.all_joints import joint_values, rate_map
 from .tree.body_frames import bodies_of
-from .tree.casadi_reduction import CasadiReduction, casadi_reduction
-from .tree.momenta import centre_of_mass
+from .tree.momenta import CasadiReduction, casadi_reduction, centre_of_mass
 from .tree.scalars import solve_spd
 
 _ZERO = 1e-9  # coefficients and singular values below this bound count as zero

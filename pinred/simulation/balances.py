@@ -25,7 +25,7 @@ from numpy.polynomial import legendre
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, read_only
-from ..reduction.inertia_split import com_derivative, symmetric
+from ..reduction.pointwise_reduction import com_derivative, symmetric
 from ..reduction.potential import shape_gravity
 from ..scene.stop import Bound
 from ..system.joints import axes_of

@@ -11,7 +11,7 @@ import pinocchio as pin
 from ..common.arrays import Array, read_only
 from ..common.errors import IntegrationError
 from ..common.names import NamedResults, listed
-from ..reduction.inertia_split import symmetric
+from ..reduction.pointwise_reduction import symmetric
 from ..reduction.tree.loop_constraints import jacobian_function
 from ..system.loops.kinematics import rotation_axes
 from ..system.loops.loop import Loop

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from ..kernels.state_layout import Layout
+from ..reduction.cyclic_joints import SymmetricBall, axial_among, rotors_among
 from ..reduction.potential import falling
-from ..reduction.symmetric_balls import SymmetricBall, axial_among, rotors_among
 from ..scene.initial_state import large_angles
 from .compiled.compiled_flow import has_no_momentum
 from .plan import Plan

@@ -25,8 +25,8 @@ from ..integrators.methods import DOP853_LEAST
 from ..integrators.run_keeper import RunKeeper
 from ..lie.rotations import apply, rotation, unit
 from ..reduction.base_parts import base_parts, into_body, quaternion_rate, root_of
-from ..reduction.canonical_form import CanonicalForm
-from ..reduction.inertia_split import lost_inertia, symmetric
+from ..reduction.canonical_form import CanonicalForm, lost_inertia
+from ..reduction.pointwise_reduction import symmetric
 from ..reduction.potential import shape_gravity
 from ..scene.initial_state import Start
 from ..system.loops.kinematics import on_surfaces

@@ -22,15 +22,15 @@ from ..forces.force_numbers import SpanNumbers
 from ..forces.switch_times import ROUND_OFF
 from ..integrators.methods import EqualSteps, ErrorControl, Method
 from ..kernels.state_layout import Layout, Structure, layout_of
-from ..reduction.cyclic_joints import cyclic_of
-from ..reduction.potential import acting_gravity, pivot_weight
-from ..reduction.symmetric_balls import (
+from ..reduction.cyclic_joints import (
     SymmetricBall,
     always_symmetric,
     axial_among,
+    cyclic_of,
     rotors_among,
     symmetric_balls_of,
 )
+from ..reduction.potential import acting_gravity, pivot_weight
 from ..reduction.tree.free_bodies import NOTHING, Freed, freed_of
 from ..scene.scene import Scene
 from ..system.model_parameters import ModelParameters

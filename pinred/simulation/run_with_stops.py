@@ -26,8 +26,7 @@ from ..common.parameter import Parameter
 from ..common.waiting import Progress
 from ..forces.switch_times import time_within
 from ..forces.tracking import ComputedTorque, ComputedTorqueAtRest
-from ..reduction.inertia_split import symmetric
-from ..reduction.pointwise_reduction import PointwiseReduction
+from ..reduction.pointwise_reduction import PointwiseReduction, symmetric
 from ..scene.input_formats import list_forces
 from ..scene.scene import Engine, Scene
 from ..scene.stop import Bound, place

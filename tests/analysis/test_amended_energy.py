@@ -9,9 +9,8 @@ import pinocchio as pin
 import pytest
 
 import pinred
-from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Energies
-from pinred.analysis.equilibria.equilibrium_problem import Problem, problem_of
-from pinred.analysis.equilibria.points import Points
+from pinred.analysis.equilibria.equilibrium_problem import Points, Problem, problem_of
+from pinred.analysis.equilibria.search import AmendedEnergy, Energies
 from pinred.common.arrays import Array
 
 SPRING = (3.0, 0.4)  # stiffness and rest position

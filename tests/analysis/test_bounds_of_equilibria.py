@@ -9,13 +9,12 @@ from spinning_robots import gyrostat, heavy_gyrostat
 
 import pinred
 from pinred.analysis.equilibria import search
-from pinred.analysis.equilibria.amended_energy import AmendedEnergy
-from pinred.analysis.equilibria.equilibrium_problem import problem_of
+from pinred.analysis.equilibria.equilibrium_problem import Points, problem_of
 from pinred.analysis.equilibria.find import equilibrium_at
-from pinred.analysis.equilibria.points import Points
+from pinred.analysis.equilibria.search import AmendedEnergy
 from pinred.analysis.stability import stability_verdict as verdict
-from pinred.analysis.stability.reduced_state import _casimir_gradients
-from pinred.analysis.stability.second_variation import (
+from pinred.analysis.stability.linearised_flow import _casimir_gradients
+from pinred.analysis.stability.stability_verdict import (
     _is_definite,
     heavy_top,
     is_definite_with_axis_momentum,
@@ -109,7 +108,7 @@ def test_top_off_equilibrium_by_1e_8_is_undecided(factor: float, steady: bool) -
 
 def _residual_at_tilt(top: object, tilt: float, J: float) -> float:
     """Return the residual of the multiplier equations at a tilt, by separate least squares."""
-    from pinred.analysis.stability.second_variation import HeavyTop
+    from pinred.analysis.stability.stability_verdict import HeavyTop
 
     assert isinstance(top, HeavyTop)
     up, D = np.array([np.sin(tilt), 0.0, np.cos(tilt)]), top.scales

@@ -12,11 +12,10 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 import pinred
-from pinred.analysis.branches import follow as found_by
-from pinred.analysis.branches.curve import Curve, CurvePoint
-from pinred.analysis.equilibria.amended_energy import AmendedEnergy
-from pinred.analysis.equilibria.equilibrium_problem import problem_of
-from pinred.analysis.equilibria.points import Points
+from pinred.analysis.equilibria import branches as found_by
+from pinred.analysis.equilibria.branches import Curve, CurvePoint
+from pinred.analysis.equilibria.equilibrium_problem import Points, problem_of
+from pinred.analysis.equilibria.search import AmendedEnergy
 from pinred.common.arrays import Array
 
 HUB, MASS, LENGTH, G = 0.3, 1.2, 0.7, 9.81

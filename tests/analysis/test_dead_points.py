@@ -14,9 +14,8 @@ from loop_robots import FOUR_BAR, crank_angles, five_bar, four_bar
 from scipy.integrate import solve_ivp
 
 import pinred
-from pinred.analysis.connections import dead_points, gaits_of_all_joints
-from pinred.analysis.connections.dead_points import along_joints
-from pinred.analysis.connections.gaits_of_all_joints import AllJointsCode
+from pinred.analysis.connections import gaits_of_all_joints
+from pinred.analysis.connections.gaits_of_all_joints import AllJointsCode, along_joints
 from pinred.analysis.connections.loop_connection import LoopConnectionCode
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, IntegrationError, SingularInertiaError
@@ -277,9 +276,9 @@ def test_tracked_path_that_misses_its_start_is_refused(
 ) -> None:
     """Differences of 5e-8 rad exceed errors of the interpolation, which are below 1e-8 rad."""
     connection, gait = by(crank_rocker(), "rocker"), of_joints(full_turn(0.7), [2])
-    code, tracked = connection.code, dead_points._tracked
+    code, tracked = connection.code, gaits_of_all_joints._tracked
     assert isinstance(code, LoopConnectionCode)
-    assert dead_points.through_dead_points(code, gait) is not None
+    assert gaits_of_all_joints.through_dead_points(code, gait) is not None
 
     def drifting(*arguments: Any) -> Any:
         result: Any = tracked(*arguments)
@@ -287,16 +286,16 @@ def test_tracked_path_that_misses_its_start_is_refused(
         return result
 
     with monkeypatch.context() as patch:
-        patch.setattr(dead_points, "_tracked", drifting)
+        patch.setattr(gaits_of_all_joints, "_tracked", drifting)
         with pytest.raises(SingularInertiaError, match="the other joints do not return"):
-            dead_points.through_dead_points(code, gait)
+            gaits_of_all_joints.through_dead_points(code, gait)
 
 
 def test_path_that_misses_the_independent_joints_is_not_used(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A closed shape that is shifted along the path has an angle that differs by 5e-8 rad."""
-    code, filled = by(crank_rocker(), "rocker").code, dead_points._filled
+    code, filled = by(crank_rocker(), "rocker").code, gaits_of_all_joints._filled
     assert isinstance(code, LoopConnectionCode)
 
     def shifted(*arguments: Any) -> Any:
@@ -305,8 +304,8 @@ def test_path_that_misses_the_independent_joints_is_not_used(
         x[3] += 5e-8 / step[2] * step
         return x
 
-    monkeypatch.setattr(dead_points, "_filled", shifted)
-    assert dead_points.through_dead_points(code, of_joints(full_turn(0.7), [2])) is None
+    monkeypatch.setattr(gaits_of_all_joints, "_filled", shifted)
+    assert gaits_of_all_joints.through_dead_points(code, of_joints(full_turn(0.7), [2])) is None
 
 
 @pytest.mark.parametrize(("size", "is_resolved"), [(3e-9, False), (3e-10, True)])
@@ -314,7 +313,7 @@ def test_path_with_unresolved_harmonics_is_not_used(size: float, is_resolved: bo
     """A Fourier series keeps a quarter of the samples as harmonics; the others must be small."""
     s = np.arange(256) / 256
     x = np.column_stack([np.cos(TAU * s) + 2.0 * size * np.cos(100.0 * TAU * s)])
-    assert (dead_points._as_gait(x, np.zeros(1), 1.0, 0.0) is not None) == is_resolved
+    assert (gaits_of_all_joints._as_gait(x, np.zeros(1), 1.0, 0.0) is not None) == is_resolved
 
 
 def test_nearly_closed_paths_are_replaced_by_the_nearest_closed_ones() -> None:

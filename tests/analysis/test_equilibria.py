@@ -14,11 +14,9 @@ from spinning_robots import equilibria_of_cat, gyrostat, rods
 from trees import random_model
 
 import pinred
-from pinred.analysis.equilibria.amended_energy import AmendedEnergy
-from pinred.analysis.equilibria.equilibrium_problem import problem_of
+from pinred.analysis.equilibria.equilibrium_problem import Points, problem_of
 from pinred.analysis.equilibria.find import equilibrium_at
-from pinred.analysis.equilibria.points import Points
-from pinred.analysis.equilibria.search import _quarters
+from pinred.analysis.equilibria.search import AmendedEnergy, _quarters
 from pinred.common.arrays import Array
 from pinred.forces import Damper, PotentialEnergy
 from pinred.reduction.potential import falling

@@ -11,7 +11,7 @@ from assertions import close
 from scipy.integrate import solve_ivp
 
 import pinred
-from pinred.analysis.gaits.arcs import FourierArc
+from pinred.analysis.phases.gait import FourierArc
 from pinred.common.arrays import Array
 from pinred.signals import Fourier
 from pinred.system.robot_file_contents import Contents, Coupling

@@ -14,7 +14,7 @@ from textbook import DELTA, J2, M2, D, M
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred
-from pinred.analysis.frames.corrected_integral import norm_distance
+from pinred.analysis.phases.corrected_integral import norm_distance
 from pinred.common.arrays import Array
 from pinred.kernels.connection.connection_form import form_of
 

@@ -9,7 +9,7 @@ import pytest
 from assertions import close
 
 import pinred
-from pinred.analysis.gaits.arcs import PolynomialArc
+from pinred.analysis.phases.gait import PolynomialArc
 from pinred.common.arrays import Array
 
 Gait = pinred.Gait

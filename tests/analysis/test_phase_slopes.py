@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 from strategies import make_case
 
 import pinred
-from pinred.analysis.gaits.arcs import FourierArc
-from pinred.analysis.phases.path_basis import Drift, cycloid_basis, path_lift
+from pinred.analysis.phases.gait import FourierArc
+from pinred.analysis.phases.lift import Drift, cycloid_basis, path_lift
 from pinred.common.arrays import Array
 
 

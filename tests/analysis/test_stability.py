@@ -12,11 +12,11 @@ from strategies import seeds
 from trees import random_model
 
 import pinred
-from pinred.analysis.equilibria.amended_energy import AmendedEnergy
+from pinred.analysis.equilibria.equilibrium_problem import Points
 from pinred.analysis.equilibria.find import flow_at
-from pinred.analysis.equilibria.points import Points
 from pinred.analysis.equilibria.relative_equilibrium import RelativeEquilibrium
-from pinred.analysis.stability.second_variation import second_variation
+from pinred.analysis.equilibria.search import AmendedEnergy
+from pinred.analysis.stability.stability_verdict import second_variation
 from pinred.common.arrays import Array
 from pinred.forces import Damper
 from pinred.kernels.state_jacobian import jacobian_of

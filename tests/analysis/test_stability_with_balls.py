@@ -13,7 +13,7 @@ from ball_trees import joined_bodies
 import pinred
 from pinred.analysis.stability.linearised_flow import linearised_flow
 from pinred.forces import BallSpring, Torque
-from pinred.reduction.inertia_split import mass_matrix
+from pinred.reduction.pointwise_reduction import mass_matrix
 
 _STIFFNESS = 2.0  # of the spring [N m/rad]
 METHODS = ["DOP853", "Gauss(0.02, 8)"]

@@ -11,11 +11,10 @@ import pytest
 from spinning_robots import heavy_gyrostat
 
 import pinred
-from pinred.analysis.equilibria.equilibrium_problem import problem_of
+from pinred.analysis.equilibria.equilibrium_problem import Points, problem_of
 from pinred.analysis.equilibria.find import equilibrium_at
-from pinred.analysis.equilibria.points import Points
 from pinred.analysis.equilibria.relative_equilibrium import RelativeEquilibrium
-from pinred.analysis.stability.second_variation import HeavyTop
+from pinred.analysis.stability.stability_verdict import HeavyTop
 from pinred.common.arrays import Array
 
 TOP = Path(__file__).parent.parent.parent / "examples/heavy_top.urdf"

@@ -16,7 +16,7 @@ from pinred.kernels import state_jacobian as graphs
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.kernels.state_jacobian import jacobian_code, jacobian_of
-from pinred.reduction.tree.sweep_jacobian import sweep_jacobian
+from pinred.reduction.tree.articulated_sweep import sweep_jacobian
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
 

@@ -17,7 +17,7 @@ from loop_robots import five_bar
 from scaled_robots import ROBOTS, Units, evaluate_connection, scaled
 
 import pinred
-from pinred.analysis.connections import mechanical_connection
+from pinred.analysis.connections import connection_physics
 from pinred.common.arrays import Array
 from pinred.common.differences import central_differences
 from pinred.forces import ComputedTorque, Torque, Wrench
@@ -46,7 +46,7 @@ from pinred.system.loops.looped_system import loop_jacobian
 
 MODULES = (
     validation, derived_code, differentiable, flow_functions, closing_code, initial_conditions,
-    connection_validation, mechanical_connection,
+    connection_validation, connection_physics,
 )  # fmt: skip
 SMALL, LARGE = Units(1e-3, 1e-3, 1e-3), Units(1e3, 1e-3, 1e-3)
 
@@ -295,7 +295,7 @@ def test_two_states_are_compared() -> None:
 
     function._validate_derivative("counted", record)
     assert len(samples) == 2
-    code = mechanical_connection.mechanical_code(kernel.system)
+    code = connection_physics.mechanical_code(kernel.system)
     assert len(list(connection_validation.trial_shapes(code.form))) == 2
 
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 import pinred
+from pinred.planning.optimisation.gait_search import cost_unit, merit_name
 from pinred.planning.optimisation.objective import COSTS, CostKind
-from pinred.planning.optimisation.transcription import cost_unit, merit_name
 
 
 def drag() -> pinred.Connection:

@@ -18,12 +18,11 @@ from pinred.common.arrays import Array
 from pinred.common.errors import IntegrationError
 from pinred.kernels.connection.connection_form import ConnectionForm, form_of
 from pinred.lie import GROUPS
-from pinred.planning.optimisation import extremal_loop
-from pinred.planning.optimisation.extremal_loop import levenberg_marquardt
-from pinred.planning.optimisation.extremal_problem import ExtremalProblem, start_of
+from pinred.planning.optimisation import extremal as wong
+from pinred.planning.optimisation.extremal import ExtremalProblem, levenberg_marquardt, start_of
+from pinred.planning.optimisation.gait_search import Task
 from pinred.planning.optimisation.limits import limits_of
 from pinred.planning.optimisation.objective import AxisAim, TargetAim, axis_aim, target_aim
-from pinred.planning.optimisation.transcription import Task
 
 BEST = 2.385991643818944  # rotation per length of three rods, by Pinocchio's mass matrix
 
@@ -161,7 +160,7 @@ def test_extremal_with_corner_is_made_of_arcs(
     smooth = pinred.extremal(best_circle)
     assert smooth.corner == 0.0
     assert smooth.gait.is_smooth
-    monkeypatch.setattr(extremal_loop, "_CORNER", -1.0)
+    monkeypatch.setattr(wong, "_CORNER", -1.0)
     arcs = pinred.extremal(best_circle)
     assert not arcs.gait.is_smooth
     assert arcs.error < 1e-10
@@ -298,7 +297,7 @@ def test_extremal_checks_its_result(
     message: str,
 ) -> None:
     """Each bound refuses a loop that exceeds it."""
-    monkeypatch.setattr(extremal_loop, constant, value)
+    monkeypatch.setattr(wong, constant, value)
     with pytest.raises(pinred.NoOptimum, match=message):
         pinred.extremal(best_circle)
 
@@ -307,4 +306,4 @@ def test_extremal_beyond_limits_is_refused(best_circle: pinred.BestGait) -> None
     """The circle has a radius of 0.47 rad."""
     task = replace(best_circle.task, limits=limits_of(heisenberg(), 0.1, None, None))
     with pytest.raises(pinred.NoOptimum, match="exceeds the limits"):
-        extremal_loop.polish(task, best_circle.gait, best_circle.merit)
+        wong.polish(task, best_circle.gait, best_circle.merit)

@@ -8,10 +8,8 @@ from assertions import close
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.planning.optimisation import limits as extremes
-from pinred.planning.optimisation import limits as margins
-from pinred.planning.optimisation.limit_checks import LimitedLoop
-from pinred.planning.optimisation.limits import limits_of
+from pinred.planning.optimisation import limits as loop_limits
+from pinred.planning.optimisation.limits import LimitedLoop, limits_of
 from pinred.planning.reorientation.turning_loop import peaks_of
 
 T = 1.7  # s
@@ -32,7 +30,7 @@ def wheels(shift: float = 0.37) -> tuple[pinred.Connection, pinred.Gait, Array]:
 def test_peak_torques_between_samples_equal_closed_form() -> None:
     """M is constant: the peak is M (2π/T)², at a third of a sample interval."""
     A, gait, M = wheels()
-    at, most = margins.peak_torques(A, gait)
+    at, most = loop_limits.peak_torques(A, gait)
     close(most, np.abs(M[:, WHEEL]) * (2.0 * np.pi / T) ** 2, 1e-12)
     assert at[WHEEL] * 1024.0 % 512.0 == pytest.approx(0.37, abs=1e-4)
 
@@ -40,8 +38,8 @@ def test_peak_torques_between_samples_equal_closed_form() -> None:
 def test_peak_torques_without_refinement_are_too_small(monkeypatch: pytest.MonkeyPatch) -> None:
     """The samples alone underestimate the peak."""
     A, gait, M = wheels()
-    monkeypatch.setattr(extremes, "_ROUNDS", 0)
-    most = margins.peak_torques(A, gait)[1][WHEEL]
+    monkeypatch.setattr(loop_limits, "_ROUNDS", 0)
+    most = loop_limits.peak_torques(A, gait)[1][WHEEL]
     assert most < M[WHEEL, WHEEL] * (2.0 * np.pi / T) ** 2 * (1.0 - 1e-7)
 
 
@@ -51,7 +49,7 @@ def test_torque_limit_near_peak_is_detected() -> None:
     peak = M[WHEEL, WHEEL] * (2.0 * np.pi / T) ** 2
     for factor in (1.0 - 1e-9, 1.0 + 1e-9):
         limits = limits_of(A, 9.0, None, {A.joints[WHEEL]: factor * peak})
-        margin = margins.margins(A, gait, limits)["torques"]
+        margin = loop_limits.margins(A, gait, limits)["torques"]
         assert margin == pytest.approx((factor - 1.0) * peak, rel=1e-3)
         c = gait.series.coefficients()
         beyond = LimitedLoop(A, limits, c, T).peaks_beyond()
@@ -108,7 +106,7 @@ def test_largest_of_many_equal_peaks_is_found() -> None:
         shift = 0.5 + 2e-4 * np.cos(2.0 * np.pi * (s - 0.5 / 512.0))
         return (np.cos(18.0 * np.pi * (s - 0.5 / 512.0)) * shift)[:, None]
 
-    position, size = extremes.find_extremes(waves, s)
+    position, size = loop_limits.find_extremes(waves, s)
     assert np.abs(waves(s)).argmax() not in (0, 1)
     assert float(position[0]) == pytest.approx(0.5 / 512.0, abs=1e-7)
     assert float(size[0]) == pytest.approx(0.5002, rel=1e-12)

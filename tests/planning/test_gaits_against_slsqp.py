@@ -11,8 +11,8 @@ from gait_reference import Reference
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred
-from pinred.analysis.phases.path_basis import PathLift, path_lift
-from pinred.planning.optimisation import transcription
+from pinred.analysis.phases.lift import PathLift, path_lift
+from pinred.planning.optimisation import gait_search
 
 GAP = 1e-6  # largest relative gap to the best of STARTS loops of the reference
 STARTS = 10
@@ -81,7 +81,7 @@ def test_reference_finds_no_better_gait(
         count[0] += 1
         return lift(*arguments)
 
-    monkeypatch.setattr(transcription, "path_lift", counted)
+    monkeypatch.setattr(gait_search, "path_lift", counted)
     best = pinred.optimise_gait(connection(robot), **options)
     expected = reference.best_of(STARTS, near=best.gait if "target" in options else None)[0]
     merit = reference.merit(best.gait)  # of a target: −cost

@@ -12,7 +12,7 @@ from ball_trees import ball_tree, joined_bodies
 from lifts import at_rotation_vectors, by_pinocchio, random_gait
 
 import pinred
-from pinred.analysis.phases.path_basis import fourier_basis, path_lift, piece_nodes
+from pinred.analysis.phases.lift import fourier_basis, path_lift, piece_nodes
 from pinred.common.arrays import Array
 from pinred.planning.optimisation.limits import BALL_LIMIT, limits_of
 from pinred.planning.optimisation.objective import COSTS, CostKind, cost_of, torques

@@ -17,17 +17,25 @@ from scipy.optimize import nnls
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred
-from pinred.analysis.phases.path_basis import fourier_rows, path_lift
+from pinred.analysis.phases.lift import fourier_rows, path_lift
 from pinred.common.arrays import Array
-from pinred.planning.optimisation import gait_search, nonlinear_program, optimise, transcription
+from pinred.planning.optimisation import gait_search, nonlinear_program, optimise
 from pinred.planning.optimisation.gait_search import (
     TargetMissed,
+    Task,
     finish,
     fourier_path_of,
     loop_to_target,
+    problem_of,
 )
-from pinred.planning.optimisation.limit_checks import LimitChecks, LimitedLoop, Times, first_checks
-from pinred.planning.optimisation.limits import Limits, limits_of
+from pinred.planning.optimisation.limits import (
+    LimitChecks,
+    LimitedLoop,
+    Limits,
+    Times,
+    first_checks,
+    limits_of,
+)
 from pinred.planning.optimisation.nonlinear_program import (
     Minimum,
     Problem,
@@ -36,7 +44,6 @@ from pinred.planning.optimisation.nonlinear_program import (
     sharpened,
 )
 from pinred.planning.optimisation.objective import COSTS, axis_aim, target_aim
-from pinred.planning.optimisation.transcription import Task, problem_of
 
 FEW = 2300  # evaluations, of about 1600 with both safeguards and at least 2900 without one
 TURN = 0.033787199534  # rotation of three rods by half of the square |α| ≤ 1 [rad]
@@ -420,7 +427,7 @@ def test_targets_in_space_take_few_evaluations(
         count[0] += 1
         return lift(*arguments)
 
-    monkeypatch.setattr(transcription, "path_lift", counted)
+    monkeypatch.setattr(gait_search, "path_lift", counted)
     cat, target = pinred.load("falling_cat"), [0.05 * 0.9**3, 0.0, 0.0]
     best = pinred.optimise_gait(
         pinred.Connection.mechanical(cat), objective="target", target=target, limits=0.9,

@@ -13,7 +13,7 @@ from pinred import InputError, ModelError
 from pinred.common.arrays import Array
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.kernels.state_layout import Structure
-from pinred.reduction.inertia_split import mass_matrix
+from pinred.reduction.pointwise_reduction import mass_matrix
 from pinred.reduction.tree.identical_branches import Lanes
 from pinred.reduction.tree.momenta import momenta
 from pinred.system.robot_file_contents import Contents, Coupling

@@ -9,8 +9,8 @@ from assertions import close
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.planning.reorientation.flight_dynamics import FlightDynamics, Instants
-from pinred.reduction.tree.dynamics_derivatives import InverseDynamics, Motion
+from pinred.planning.reorientation.flight_program import FlightDynamics, Instants
+from pinred.reduction.tree.second_derivatives import InverseDynamics, Motion
 
 ROBOTS = ["planar_chain5", "solo12", "gripper", "reaction_wheel_satellite", "elroys_beanie"]
 

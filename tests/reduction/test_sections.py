@@ -14,7 +14,7 @@ from strategies import Case, cases, make_case
 import pinred
 from pinred.common.arrays import Array
 from pinred.equations import hamilton_poincare, lagrange_poincare
-from pinred.reduction.section import Section
+from pinred.reduction.pointwise_reduction import Section
 from pinred.system.joints import axes_of
 
 FIELDS = ("mass_matrix", "locked_inertia", "local_connection", "reduced_metric", "curvature", "com")

@@ -13,7 +13,7 @@ from pinred import InputError
 from pinred.common.arrays import Array
 from pinred.equations import lagrange_poincare
 from pinred.lie.rotations import hat
-from pinred.reduction.section import Section
+from pinred.reduction.pointwise_reduction import Section
 from pinred.system.system import System
 
 

@@ -18,12 +18,12 @@ from scaled_robots import Units, scaled, weld
 
 import pinred
 from pinred import poisson
-from pinred.analysis.connections.wheels import slip_matrix, slips_of
+from pinred.analysis.connections.connection_physics import slip_matrix, slips_of
 from pinred.common.arrays import Array
 from pinred.forces.inverse_dynamics import loop_motion
 from pinred.kernels.connection.connection_form import velocity_graph
 from pinred.kernels.reference_state import length_of, steps_of
-from pinred.reduction.inertia_split import mass_matrix
+from pinred.reduction.pointwise_reduction import mass_matrix
 from pinred.system.loops.looped_system import loop_jacobian
 from pinred.system.system import System
 

@@ -13,7 +13,7 @@ from pinred.common.arrays import Array
 from pinred.integrators.integrate import integrate
 from pinred.integrators.methods import Method
 from pinred.kernels import build, pinocchio_terms
-from pinred.reduction.inertia_split import mass_matrix
+from pinred.reduction.pointwise_reduction import mass_matrix
 from pinred.reduction.tree import loop_constraints
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of

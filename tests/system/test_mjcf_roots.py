@@ -16,7 +16,7 @@ import pinred
 from pinred import ModelError, ModelWarning
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS
-from pinred.reduction.inertia_split import symmetric
+from pinred.reduction.pointwise_reduction import symmetric
 from pinred.system.joints import motion_group
 from pinred.system.mjcf.read import keyframes_of
 from pinred.system.mjcf.tree import Tree

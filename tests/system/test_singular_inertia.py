@@ -22,8 +22,7 @@ import pinred
 from pinred import ModelError, ModelWarning
 from pinred.common.arrays import Array
 from pinred.forces.signals import Spline
-from pinred.reduction.canonical_form import CanonicalForm
-from pinred.reduction.inertia_split import lost_inertia
+from pinred.reduction.canonical_form import CanonicalForm, lost_inertia
 from pinred.reduction.potential import Potential
 from pinred.scene.scene import Engine
 from pinred.system.singular_mass_matrix import (

@@ -25,8 +25,7 @@ from ...common.errors import InputError, SingularInertiaError, UnsupportedOperat
 from ...common.memo import once, recent
 from ...common.names import quoted
 from ...kernels.connection.connection_code import ConnectionCode, Curvatures, Locals, Velocities
-from ...reduction.inertia_split import InertiaSplit
-from ...reduction.pointwise_reduction import PointwiseReduction, ReducedShape
+from ...reduction.pointwise_reduction import InertiaSplit, PointwiseReduction, ReducedShape
 from ...reduction.potential import Springs
 from ...reduction.tree.body_frames import bodies_of
 from ...reduction.tree.loop_constraints import constraint_values, jacobian_function, rate_map

@@ -41,15 +41,14 @@ from ...kernels.evaluate import evaluate
 from ...kernels.machine.native import compile_object
 from ...kernels.reference_state import length_of, steps_of
 from ...kernels.validation import TOLERANCE, require_agreement
-from ...reduction.inertia_split import mass_matrix
+from ...reduction.pointwise_reduction import mass_matrix
 from ...reduction.tree.momenta import bracket, momenta
 from ...reduction.tree.scalars import solve_spd
 from ...system.system import System, checked_system
-from ..gaits.gait import Gait
-from .connection import Connection
-from .connection_values import refuse_singular
+from ..phases.gait import Gait
+from .connection import Connection, refuse_singular
+from .connection_physics import Rolling, Slip, Wheel, slip_matrix, slip_rows, slips_of
 from .rotation_chart import RotationChart
-from .wheels import Rolling, Slip, Wheel, slip_matrix, slip_rows, slips_of
 
 _NAME = "mixed"
 _STEP = 1e-3  # step of differences in validation, relative to the time of one displacement

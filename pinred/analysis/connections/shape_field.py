@@ -14,11 +14,10 @@ from ...common.arrays import Array, FrozenArrays, read_only, vector
 from ...common.errors import SymmetryError
 from ...integrators.stepping.compiling import compiled
 from ...kernels.connection.connection_code import Locals
-from ...reduction.inertia_split import cholesky, usual_inertias
+from ...reduction.pointwise_reduction import Moves, cholesky, usual_inertias
 from ...reduction.potential import Potential
-from ...reduction.section import Moves
 from ...system.system import System
-from .mechanical_connection import centres_of_mass, mechanical_code
+from .connection_physics import centres_of_mass, mechanical_code
 
 # Pivots of the mass matrix below this multiple of n ε times the diagonal entry (ε: machine
 # precision) need the accurate test for singularity.

@@ -40,21 +40,26 @@ from ...forces.force import Force
 from ...forces.force_model import touched_by
 from ...forces.signals import Signal
 from ...lie.rotations import left_jacobian
-from ...reduction.inertia_split import mass_matrix
+from ...reduction.pointwise_reduction import mass_matrix
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...system.singular_mass_matrix import singular_shapes
 from ...system.system import System, checked_system
 from ..stability.linearised_flow import linearised, of_smooth_momenta
-from ..stability.second_variation import second_variation
-from ..stability.stability_verdict import Stability, assess_stability
-from .amended_energy import AmendedEnergy, Energies
-from .distinct_points import FLAT, DistinctPoints, Orbit
-from .equilibrium_problem import Problem, finite, problem_of
-from .points import Points, embedded, joined, tangents
+from ..stability.stability_verdict import Stability, assess_stability, second_variation
+from .distinct_points import FLAT, DistinctPoints, Orbit, Symmetry
+from .equilibrium_problem import Points, Problem, embedded, finite, joined, problem_of, tangents
 from .relative_equilibrium import Census, Equilibria, RelativeEquilibrium, pose_of
-from .search import critical_points, iterated, minima, polished, residuals, starting_points
-from .shape_symmetries import Symmetry
+from .search import (
+    AmendedEnergy,
+    Energies,
+    critical_points,
+    iterated,
+    minima,
+    polished,
+    residuals,
+    starting_points,
+)
 
 _ASIDE = 0.01  # displacement along a flat direction that determines the degree [rad | m]
 _ZERO = 1e-10  # derivative along a flat direction that counts as zero, relative to the energies

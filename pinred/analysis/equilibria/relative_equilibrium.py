@@ -16,7 +16,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...lie.rotations import quaternion_exp
-from ...reduction.inertia_split import mass_matrix
+from ...reduction.pointwise_reduction import mass_matrix
 from ...scene.scene import Scene
 from ...system.loops.loop_assembly import assemble
 from ...system.loops.looped_system import loop_jacobian

@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from ...common.arrays import Array
 from ...common.errors import LoadError, PinredError
-from ...reduction.inertia_split import symmetric
+from ...reduction.pointwise_reduction import symmetric
 from ...system.mjcf.compile import compiled, mujoco_package, warnings_kept
 from ...system.mjcf.read import gravity_of
 from ...system.mjcf.world import robot_in

@@ -14,7 +14,7 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...judge.distances import FullMotion
 from ...judge.step_defects import largest_defect
-from ...reduction.inertia_split import symmetric
+from ...reduction.pointwise_reduction import symmetric
 from ...scene.scene import Scene
 from ...system.load import load
 from ...system.system import System

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
-from ...analysis.phases.path_basis import PathBasis, PathLift, sum_over_nodes
+from ...analysis.phases.lift import PathBasis, PathLift, sum_over_nodes
 from ...common.arrays import Array, FrozenArrays, as_floats, vector
 from ...common.errors import InputError
 from ...common.names import brief

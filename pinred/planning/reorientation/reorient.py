@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection, ConnectionSource, rest_of, system_of
-from ...analysis.gaits.gait import Gait
-from ...analysis.phases.path_basis import path_lift
+from ...analysis.phases.gait import Gait
+from ...analysis.phases.lift import path_lift
 from ...analysis.phases.phase import phase
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, as_floats, positive, vector, vector_or_zero, whole
@@ -40,13 +40,12 @@ from ...common.waiting import Wait
 from ...lie.rotations import quaternion_log
 from ...scene.initial_state import order_by_joint
 from ...system.system import System, checked_system
-from ..optimisation.gait_search import StartFailed
+from ..optimisation.gait_search import Passage, StartFailed, Task
 from ..optimisation.limits import Limits, LimitsLike, limits_of, margins, require_two_joints
 from ..optimisation.objective import TargetAim, target_aim
-from ..optimisation.transcription import Passage, Task
-from .turn_plan import TurnPlan
 from .turning_loop import (
     Peaks,
+    TurnPlan,
     final_twist,
     fine_path,
     joint_rotation,
@@ -56,7 +55,7 @@ from .turning_loop import (
 )
 
 if TYPE_CHECKING:
-    from .flight_plan import FlightPlan
+    from .flight_search import FlightPlan
 
 CYCLES = (1, 2, 3, 4, 6, 8, 12, 16)  # numbers of cycles that are tried
 _REMAINING = 1e-10  # largest error of the final attitude, per cycle [rad]

@@ -20,8 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ...system.coupling import Coupled
-from .articulated_body import Articulated, Step, momentum_of_rate
-from .body_frames import Body, Freedom
+from .body_frames import Articulated, Body, Freedom, Step, momentum_of_rate
 from .identical_branches import Link
 from .scalars import INDEX, Scalar, Vec, add, dot, mul, plus, sub
 

@@ -1,4 +1,4 @@
-"""CasADi expressions of a tree's momenta, locked inertia and centre of mass, and brackets.
+"""CasADi expressions of a tree: momenta, mass matrix, locked inertia, centre of mass, curvature.
 
 Tensors, points and frames fixed to bodies are transformed to the body frames of the sweep.
 """
@@ -6,6 +6,7 @@ Tensors, points and frames fixed to bodies are transformed to the body frames of
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -14,19 +15,20 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...lie.group import Group
 from ...system.system import System
-from .all_joints import joint_rates, joint_values, on_shape
-from .articulated_body import (
+from .all_joints import frame_jacobian, joint_rates, joint_values, on_shape
+from .articulated_sweep import step_of
+from .body_frames import (
     Articulated,
+    Body,
     Step,
     angular_row,
+    bodies_of,
     carried,
     linear_row,
     moved_twist,
     rigid,
 )
-from .articulated_sweep import step_of
-from .body_frames import Body, bodies_of
-from .scalars import INDEX, Scalar, Vec, add, cross, dot, mul, plus, sub, times, total
+from .scalars import INDEX, Scalar, Vec, add, cross, dot, mul, plus, solve_spd, sub, times, total
 
 
 def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
@@ -290,3 +292,54 @@ def _to_outer_frame(placement: pin.SE3, v: Vec, w: Vec) -> tuple[Vec, Vec]:
     p: Vec = [float(c) for c in placement.translation]
     v, w = [dot(row, v) for row in R], [dot(row, w) for row in R]
     return [add(a, b) for a, b in zip(v, cross(p, w), strict=True)], w
+
+
+@dataclass(frozen=True)
+class CasadiReduction:
+    """CasADi expressions of the terms of the reduction.
+
+    They hold where the quaternions of balls have length one.
+
+    Attributes:
+        x: Shape symbols, (nx, 1).
+        H: Mass matrix, (n, n).
+        I: Locked inertia, (r, r).
+        A: Local connection, (r, m).
+        M: Reduced metric, (m, m).
+        B: Curvature, (r, m²); column α m + β is B_αβ.
+    """
+
+    x: ca.SX
+    H: ca.SX
+    I: ca.SX
+    A: ca.SX
+    M: ca.SX
+    B: ca.SX
+
+
+def casadi_reduction(system: System, x: ca.SX | None = None) -> CasadiReduction:
+    """Return the expressions of a system at shape symbols x (nx, 1); None: new symbols."""
+    r = system.r
+    x, v = ca.SX.sym("x", system.nx) if x is None else x, ca.SX.sym("v", system.n)
+    H = ca.jacobian(momenta(system, x, v), v)
+    I, Hbs, Hss = H[:r, :r], H[:r, r:], H[r:, r:]
+    A = solve_spd(I, Hbs)
+    return CasadiReduction(x, H, I, A, Hss - Hbs.T @ A, _curvature(system, x, A))
+
+
+def _curvature(system: System, x: ca.SX, A: ca.SX) -> ca.SX:
+    """Return the curvature; see reduction/pointwise_reduction.py."""
+    r, m = system.r, system.m
+    if not m:
+        return ca.SX(r, 0)
+    dA = [frame_jacobian(system, A[:, b], x) for b in range(m)]  # dA[β][:, α] = ∂_α A_β
+    columns = [
+        dA[b][:, a] - dA[a][:, b] - bracket(system.group, A[:, a], A[:, b])
+        for a in range(m)
+        for b in range(m)
+    ]
+    B: ca.SX = ca.horzcat(*columns)
+    if not system.space.balls:
+        return B
+    # Column α m + β of c is c^γ_αβ, γ first.
+    return B - A @ ca.SX(ca.DM(system.space.structure.reshape(m, m * m)))

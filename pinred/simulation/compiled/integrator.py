@@ -35,7 +35,7 @@ from ...integrators.solution import Solution
 from ...integrators.thinned_run import MOST_COPIES, ThinnedIntegration, ThinnedSolution
 from ...kernels.derived_code import tangent_of
 from ...kernels.kernel import Kernel
-from ...reduction.inertia_split import lost_inertia
+from ...reduction.canonical_form import lost_inertia
 from ...scene.scene import Scene
 from ..checkpoint import Checkpoint, Part, RunRecord
 from ..closed_loops import near_singular_loops

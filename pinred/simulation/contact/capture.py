@@ -23,7 +23,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, positive
 from ...common.errors import InputError
 from ...common.names import quoted
-from ...reduction.inertia_split import mass_matrix_at
+from ...reduction.pointwise_reduction import mass_matrix_at
 from ...scene.scene import Scene, scene_of
 from ...system.assembly import renamed, reversed_balls, take_apart
 from ...system.derived_systems import (

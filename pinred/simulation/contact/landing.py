@@ -23,7 +23,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, entries_of
 from ...common.errors import InputError
 from ...common.names import brief, listed, one_of
-from ...reduction.symbolic_placements import up_of
+from ...reduction.tree.all_joints import up_of
 from ...system.derived_systems import (
     Instant,
     Moving,

@@ -32,7 +32,7 @@ from ...common.files import check_path, write_atomic
 from ...common.names import joint_index
 from ...common.waiting import Wait
 from ...kernels.connection.connection_form import momentum_velocity_graph, velocity_graph
-from ...reduction.symbolic_placements import (
+from ...reduction.tree.all_joints import (
     Placement,
     all_joint_values,
     compose,

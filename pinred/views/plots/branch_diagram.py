@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ...analysis.branches.follow import Branches, BranchPoint
+from ...analysis.equilibria.branches import Branches, BranchPoint
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError

@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from xarray import Dataset
 
-    from ...analysis.branches.follow import Branches
     from ...analysis.connections.connection import ConnectionSource
-    from ...analysis.gaits.gait import Gait
+    from ...analysis.equilibria.branches import Branches
+    from ...analysis.phases.gait import Gait
     from ...analysis.phases.phase import Phase
     from ...judge.verdict import Report
-    from ...planning.optimisation.best_gait import BestGait
-    from ...planning.reorientation.turn_plan import TurnPlan
+    from ...planning.optimisation.optimise import BestGait
+    from ...planning.reorientation.turning_loop import TurnPlan
     from ...simulation.trajectory import Trajectory
     from ..motion_source import MotionSource
     from .connection_field import Part, Source

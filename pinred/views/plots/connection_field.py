@@ -18,7 +18,7 @@ from ...analysis.connections.connection import (
     robot_of,
 )
 from ...analysis.full_reduction import Reduction
-from ...analysis.gaits.gait import Gait
+from ...analysis.phases.gait import Gait
 from ...analysis.phases.phase import phase
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, vector

@@ -13,17 +13,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ...analysis.connections.connection import Connection
-from ...analysis.gaits.gait import Gait
+from ...analysis.phases.gait import Gait
 from ...analysis.phases.phase import Phase
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError, SingularInertiaError
 from ...lie.group import Group
 from ...lie.rotations import unwrapped_rotation_vectors
-from ...planning.optimisation.best_gait import BestGait
+from ...planning.optimisation.gait_search import merit_name
 from ...planning.optimisation.objective import AxisAim
-from ...planning.optimisation.transcription import merit_name
-from ...planning.reorientation.turn_plan import TurnPlan
+from ...planning.optimisation.optimise import BestGait
+from ...planning.reorientation.turning_loop import TurnPlan
 from .connection_field import (
     component_of,
     motion_word,

@@ -13,7 +13,7 @@ from ...analysis.full_reduction import Reduction
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError, SymmetryError
-from ...reduction.inertia_split import symmetric
+from ...reduction.pointwise_reduction import symmetric
 from ...simulation.trajectory import Trajectory
 from ...system.state_fields import State, with_base
 from ...system.system import System

@@ -14,7 +14,7 @@ import pinocchio as pin
 from ....common.arrays import Array
 from ....common.errors import UnsupportedOperationError
 from ....common.optional_packages import install_command
-from ....reduction.inertia_split import symmetric
+from ....reduction.pointwise_reduction import symmetric
 from ....system.system import System
 from ..problems import Problem
 from ..solver import UNKNOWN

@@ -18,10 +18,9 @@ from ...common.arrays import Array, FrozenArrays, as_floats, vector, whole
 from ...common.errors import InputError
 from ...common.waiting import Wait
 from ..connections.connection import Connection, ConnectionSource, connection_of
-from ..gaits.arcs import line
-from ..gaits.gait import Gait
-from ..phases.lift import STAGES, PathSegments, in_space, lift, nodes
-from ..phases.phase import is_closed, phase
+from .gait import Gait, line
+from .lift import STAGES, PathSegments, in_space, lift, nodes
+from .phase import is_closed, phase
 
 _FLAT = 1e-10  # largest curvature of a flat connection, relative to its terms
 _MOST_SHAPES = 10**6

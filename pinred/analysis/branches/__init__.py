@@ -1,1 +1,0 @@
-"""Branches of relative equilibria as the momentum varies, followed through folds and pitchforks."""

@@ -1,1 +1,0 @@
-"""Frames on the body: minimum-perturbation coordinates, surface integrals, flatness tests."""

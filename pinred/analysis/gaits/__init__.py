@@ -1,1 +1,0 @@
-"""Gaits: closed paths in shape space, as immutable objects."""
