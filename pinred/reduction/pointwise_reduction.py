@@ -13,11 +13,10 @@ The curvature of the mechanical connection in body form is
 
 ∂_α is the derivative along the frame of the shape, and c are the frame's structure constants.
 Without balls they are zero, and ∂_α = ∂/∂x_α. Two further routes compute it, and the tests compare
-them with this one: CasADi expressions (`casadi_reduction` in reduction/tree/momenta.py), and
-machine code for many shapes (`ConnectionCode.curvature` in kernels/connection/connection_code.py).
+them with this one: CasADi expressions (`casadi_reduction`), and machine code for many shapes
+(`ConnectionCode.curvature`).
 
-In another section, the base frame is displaced by a shape-dependent h(x).
-The pose of the new frame is g h(x).  With Θ = h⁻¹ ∂h, the body twists of h per unit joint rate,
+In another section, the pose of the base frame is g h(x).  With the body twists Θ = h⁻¹ ∂h,
 
     A′ = Ad_{h⁻¹} A − Θ,   B′ = Ad_{h⁻¹} B,   I′ = Ad_hᵀ I Ad_h,   M′ = M,   μ′ = Ad_hᵀ μ.
 
@@ -30,7 +29,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, Self, TypeAlias
 
 import numpy as np
@@ -39,6 +38,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..common.argument_kinds import call_function, checks_arguments
 from ..common.arrays import Array, FrozenArrays, as_floats, vector
+from ..common.differences import central_differences
 from ..common.errors import InputError, ShapeError, SingularInertiaError, SymmetryError
 from ..lie.group import Group
 from ..system.joints import axes_of
@@ -197,10 +197,13 @@ def usual_inertias(system: System) -> Array:
 
 def usual_mass_matrices(system: System) -> list[Array]:
     """Return the mass matrices (n, n) at some random shapes; the result is cached."""
-    rng = np.random.default_rng(0)
-    space = system.space
-    shapes = space.integrate(space.neutral, rng.uniform(-np.pi, np.pi, (_SAMPLES, system.m)))
-    return system.workspace(usual_mass_matrices, lambda: [mass_matrix(system, x) for x in shapes])
+
+    def make() -> list[Array]:
+        displacements = np.random.default_rng(0).uniform(-np.pi, np.pi, (_SAMPLES, system.m))
+        shapes = system.space.integrate(system.space.neutral, displacements)
+        return [mass_matrix(system, x) for x in shapes]
+
+    return system.workspace(usual_mass_matrices, make)
 
 
 def mass_matrix(system: System, x: Array) -> Array:
@@ -241,10 +244,8 @@ def _upper(n: int) -> NDArray[np.bool_]:
 
 def com_derivative(system: System, x: Array) -> Array:
     """Compute ∂c/∂x of the centre of mass in the root body's frame, (3, m)."""
-    model, data = (
-        system.sorted_model,
-        system.workspace(com_derivative, system.sorted_model.createData),
-    )
+    model = system.sorted_model
+    data = system.workspace(com_derivative, model.createData)
     q = system.sorted_q(system.group.identity(), x)
     # With one joint, Pinocchio returns a vector (3,).
     jacobian = pin.jacobianCenterOfMass(model, data, q).reshape(3, -1)
@@ -378,9 +379,11 @@ class MovedFrame:
 
     def moves(self, x: Array) -> Moves:
         """Return the changes of frame at shapes x (N, nx)."""
-        elements = [self._element(shape)[:2] for shape in x]
-        places = [self._placement(g, shape) for (g, _), shape in zip(elements, x, strict=True)]
-        system = self._system
+        elements, system = [self._element(shape)[:2] for shape in x], self._system
+        model, data, places = system.sorted_model, system.sorted_data, []
+        for (pose, _), shape in zip(elements, x, strict=True):
+            pin.forwardKinematics(model, data, system.sorted_q(pose, shape))
+            places.append(model.jointPlacements[1].actInv(data.oMi[1]))
         poses = np.array([g for g, _ in elements]).reshape(len(x), self._group.size)
         return Moves(
             Ad=self._group.Ad(poses),
@@ -389,12 +392,6 @@ class MovedFrame:
             rotation=np.array([place.rotation for place in places]).reshape(-1, 3, 3),
             translation=np.array([place.translation for place in places]).reshape(-1, 3),
         )
-
-    def _placement(self, pose: Array, x: Array) -> pin.SE3:
-        """Return h in the root joint's fixed frame."""
-        model, data = self._system.sorted_model, self._system.sorted_data
-        pin.forwardKinematics(model, data, self._system.sorted_q(pose, x))
-        return model.jointPlacements[1].actInv(data.oMi[1])
 
     def _element(self, x: Array) -> tuple[Array, Array, Array | None]:
         """Evaluate h: return its pose, Θ, and ∂Θ or None.  Raises InputError for other values."""
@@ -412,29 +409,25 @@ class MovedFrame:
     def _check_derivatives(self, x: Array) -> None:
         """Raise InputError if Θ or ∂Θ differs from finite differences of h at shape x (nx,)."""
         pose, theta, dtheta = self._element(x)
-        inverse, space = self._group.inverse(pose), self._system.space
-        for k, unit in enumerate(np.eye(self._system.m)):
-            twist, change = np.zeros(self._system.r), np.zeros_like(theta)
-            for n, weight in ((1, 0.75), (2, -0.15), (3, 1 / 60)):
-                ahead, behind = (
-                    self._element(space.integrate(x, s * n * _STEP * unit)) for s in (1.0, -1.0)
-                )
-                logs = [
-                    self._group.log(self._group.compose(inverse, g)) for g, *_ in (ahead, behind)
-                ]
-                twist += weight / _STEP * (logs[0] - logs[1])
-                change += weight / _STEP * (ahead[1] - behind[1])
-            for name, value, expected in (
-                ("Θ = h⁻¹ ∂h", theta[:, k], twist),
-                ("∂Θ", change if dtheta is None else dtheta[:, :, k], change),
-            ):
-                error = np.abs(value - expected).max(initial=0.0)
-                if not error <= _TOLERANCE * (1.0 + np.abs(expected).max()):
-                    joint = self._system.shape_names[k]
+        inverse, r, m = self._group.inverse(pose), self._system.r, self._system.m
+
+        def values(displacement: Array) -> Array:
+            g, twists, _ = self._element(self._system.space.integrate(x, displacement))
+            return np.append(self._group.log(self._group.compose(inverse, g)), twists)
+
+        slopes = central_differences(values, np.zeros(m), _STEP)
+        checks = [("Θ = h⁻¹ ∂h", theta, slopes[:r])]
+        if dtheta is not None:
+            checks.append(("∂Θ", dtheta, slopes[r:].reshape(r, m, m)))
+        for name, stated, expected in checks:
+            errors = np.abs(stated - expected).reshape(-1, m).max(axis=0)
+            sizes = np.abs(expected).reshape(-1, m).max(axis=0)
+            for k, joint in enumerate(self._system.shape_names):
+                if not errors[k] <= _TOLERANCE * (1.0 + sizes[k]):
                     raise InputError(
-                        f"{name} of the section with respect to '{joint}' is {value} at x = {x}, "
-                        f"but finite differences of h(x) are {expected}; Θ is the body twist of "
-                        "h per unit rate of the joint"
+                        f"{name} of the section with respect to '{joint}' is {stated[..., k]} at "
+                        f"x = {x}, but finite differences of h(x) are {expected[..., k]}; Θ is the "
+                        "body twist of h per unit rate of the joint"
                     )
 
     def _check_signs(self, x: Array) -> None:
@@ -473,12 +466,9 @@ def compute_curvature(system: System, A: Array, dA: Array) -> Array:
         (r, m, m), antisymmetric in α, β, with B[:, α, β] = B_αβ.
     """
     B: Array = np.swapaxes(dA, 1, 2) - dA - bracket_term(system.group, A)
-    return B - frame_term(system, A) if system.space.balls else B
-
-
-def frame_term(system: System, A: Array) -> Array:
-    """Compute the term c^γ_αβ A_γ of the curvature, (r, m, m)."""
-    return np.asarray(np.einsum("ig,gab->iab", A, system.space.structure))
+    if not system.space.balls:
+        return B
+    return np.asarray(B - np.einsum("ig,gab->iab", A, system.space.structure))
 
 
 def bracket_term(group: Group, A: Array) -> Array:
@@ -575,15 +565,9 @@ class PointwiseReduction:
         self._model.gravity.setZero()
         self._data = self.system.sorted_data
         self._identity = system.group.neutral
-        # Gravity that breaks the symmetry leaves I, A, M and B defined, so only V raises.
-        self._potential: Potential | SymmetryError
-        self._springs: Potential | None = None
-        try:
-            self._potential = Potential(system, springs)
-        except SymmetryError as error:
-            self._potential = error
-            if pivot_weight(system).any():
-                self._springs = Potential(system, springs, weight=False)
+        self._springs = dict(springs or {})
+        if springs:
+            _ = self._potential  # raises InputError
 
     def __repr__(self) -> str:
         return f"Reduction({self.system!r})"
@@ -656,9 +640,11 @@ class PointwiseReduction:
         Returns:
             (r, m, m), antisymmetric in α, β.  The bracket is the Lie bracket of body twists.
         """
-        B = self._in_file.at(x).curvature if self.frames else self.at(x).curvature
+        split = self._split_in_file(self._shape(x))
+        _, dA = self._derivatives(split)
+        B = compute_curvature(self.system, split.local_connection, dA)
         for frame in self.frames:
-            B = frame.curvature(self._shape(x), B)
+            B = frame.curvature(split.x, B)
         return B
 
     def potential(self, x: ArrayLike) -> float:
@@ -717,14 +703,11 @@ class PointwiseReduction:
         """
         x = self._shape(x).copy()
         split = self._split_in_file(x)
-        r, m = self.system.r, self.system.m
-        dH = self._mass_matrix_derivative(x)
-        I, A = split.locked_inertia, split.local_connection
-        # Differentiate A = I⁻¹ (IA) and M = M̃ − Aᵀ (IA).
+        r, A = self.system.r, split.local_connection
+        dH, dA_in_file = self._derivatives(split)
         dI, dIA = dH[:r, :r], dH[:r, r:]
-        dA_in_file = np.linalg.solve(I, (dIA - np.einsum("ijc,jb->ibc", dI, A)).reshape(r, -1))
-        dA_in_file = dA_in_file.reshape(r, m, m)
-        dAtIA = np.einsum("iac,ib->abc", dA_in_file, I @ A) + np.einsum("ia,ibc->abc", A, dIA)
+        IA = split.locked_inertia @ A
+        dAtIA = np.einsum("iac,ib->abc", dA_in_file, IA) + np.einsum("ia,ibc->abc", A, dIA)
         curvature, com = compute_curvature(self.system, A, dA_in_file), split.com
         dA: Array | InputError = dA_in_file
         for frame in self.frames:
@@ -764,7 +747,7 @@ class PointwiseReduction:
 
         Raises SymmetryError if gravity breaks the symmetry otherwise.
         """
-        return self._springs if self._springs is not None else self.checked_potential()
+        return self.checked_potential() if self._without_weight is None else self._without_weight
 
     def com_slope(self, x: ArrayLike) -> Array:
         """Compute ∂c/∂x of the centre of mass in the root body's frame, (3, m)."""
@@ -779,16 +762,31 @@ class PointwiseReduction:
         what, space = f"shape x of {self.system.name!r}", self.system.space
         return space.normalized(vector(x, space.nx, what, space.x_names), what)
 
-    @property
-    def _in_file(self) -> Self:
-        """The reduction with respect to the base frame of the robot file."""
-        first = copy(self)
-        first.frames = ()
-        return first
+    @cached_property
+    def _potential(self) -> Potential | SymmetryError:
+        """The potential, or the error if gravity breaks the symmetry: only V then raises it."""
+        try:
+            return Potential(self.system, self._springs)
+        except SymmetryError as error:
+            return error
+
+    @cached_property
+    def _without_weight(self) -> Potential | None:
+        """The potential of the springs, if gravity rotates the base about a pivot."""
+        if not (isinstance(self._potential, SymmetryError) and pivot_weight(self.system).any()):
+            return None
+        return Potential(self.system, self._springs, weight=False)
 
     def _split_in_file(self, x: Array) -> InertiaSplit:
         H = mass_matrix_at(self.system, self._model, self._data, self._identity, x)
         return split_inertia(self.system, x, H, np.array(self._data.Ycrb[1].lever))
+
+    def _derivatives(self, split: InertiaSplit) -> tuple[Array, Array]:
+        """Return ∂H, (n, n, m), and ∂A of A = I⁻¹ (IA), (r, m, m), in the frame of the file."""
+        r, dH = self.system.r, self._mass_matrix_derivative(split.x)
+        dIA = dH[:r, r:] - np.einsum("ijc,jb->ibc", dH[:r, :r], split.local_connection)
+        dA = np.linalg.solve(split.locked_inertia, dIA.reshape(r, -1))
+        return dH, dA.reshape(dIA.shape)
 
     def _mass_matrix_derivative(self, x: Array) -> Array:
         """Return ∂H, (n, n, m), from Pinocchio's RNEA derivatives."""
