@@ -147,7 +147,7 @@ def _solve(group: Group, *, heavy: bool) -> tuple[Casimir, ...]:
     """Return the Casimirs of a group; `heavy`: whether w contains the direction Γ of gravity."""
     r = group.dim
     k = r + 3 * heavy
-    names = [_momentum_name(name) for name in group.twist_names]
+    names = [name.replace("v", "P").replace("ω", "L") for name in group.twist_names]
     names += [f"Γ{i + 1}" for i in range(3 * heavy)]
 
     def tensor(w: Array) -> Array:
@@ -183,10 +183,6 @@ def _solve(group: Group, *, heavy: bool) -> tuple[Casimir, ...]:
         monomials = [names[i] + "²" if i == j else f"{names[i]} {names[j]}" for i, j in pairs]
         casimirs.append(Casimir(_formula(row, monomials), np.zeros(k), Q, r))
     return tuple(casimirs)
-
-
-def _momentum_name(twist: str) -> str:
-    return twist.replace("v", "P").replace("ω", "L")
 
 
 def _null_space(matrix: Array) -> Array:

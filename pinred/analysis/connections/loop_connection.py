@@ -176,7 +176,7 @@ class ClosedPath:
                 x = space.integrate(x, change)
                 size = float(np.abs(step).max())
                 change[:] = 0.0
-                J, residual = self._jacobians(x), self._residuals(x)
+                J, residual = self._jacobians(x), np.array(self._functions[0](x.T)).T
                 if size <= _CLOSED:
                     break
             if size > 100.0 * _CLOSED:
@@ -204,9 +204,6 @@ class ClosedPath:
             return np.empty((0, rank, m))
         columns = np.array(function.map(count)(shapes.T))
         return np.swapaxes(columns.T.reshape(count, m, rank), 1, 2)
-
-    def _residuals(self, shapes: Array) -> Array:
-        return np.array(self._functions[0](shapes.T)).T
 
     @property
     def _bend(self) -> ca.Function:

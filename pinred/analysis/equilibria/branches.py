@@ -174,7 +174,7 @@ def _transported(curve: Curve, at: CurvePoint, there: Points, v: Array) -> Array
     Returns:
         The same direction in the tangent coordinates at the other point, (u,).
     """
-    ambient = curve.ambient(at, v)
+    ambient = curve.ambient(at.n[None], np.append(v, 0.0))
     return curve.local(there.n, ambient)[:-1]
 
 
@@ -557,7 +557,9 @@ class _Follower:
         if bifurcation.kind == "fold":
             return
         for sign in (1.0, -1.0):
-            plane = self._curve.ambient(bifurcation.at, sign * bifurcation.null)
+            plane = self._curve.ambient(
+                bifurcation.at.n[None], np.append(sign * bifurcation.null, 0.0)
+            )
             neighbour = self._curve.step(bifurcation.at, _SWITCH, plane)
             if neighbour is not None and self._low <= neighbour.J <= self._high:
                 self.add(neighbour.points, neighbour.J, plane)
@@ -729,18 +731,12 @@ class Curve:
         v = W @ vectors[:, int(np.argmin(np.abs(values)))]
         return np.asarray(v / np.linalg.norm(v))
 
-    def ambient(self, here: CurvePoint, local: Array) -> Array:
-        """Convert a direction (u,) to the coordinates (k,) of tangents.
-
-        Args:
-            here: Point where the direction is defined.
-            local: Direction in (x, tangent coordinates of the sphere), (u,).
-        Returns:
-            Direction in (x, n, J), (k,), with component zero along J.
-        """
-        ma = here.points.dimension
-        n_direction = tangents(here.n[None])[0] @ local[ma:] if here.n.size else np.zeros(0)
-        return np.concatenate([local[:ma], n_direction, [0.0]])
+    @staticmethod
+    def ambient(n: Array, local: Array) -> Array:
+        """Convert tangent coordinates (u + 1,) of the sphere at n (1, 3) to a direction (k,)."""
+        if not n.size:
+            return local
+        return np.concatenate([local[:-3], tangents(n)[0] @ local[-3:-1], local[-1:]])
 
     def _point(self, point: Points, J: float, e: Energies, along: Array) -> CurvePoint:
         """Return the curve point at a solution, with the unit tangent closest to a direction.
@@ -756,22 +752,18 @@ class Curve:
         W = weights(self.energy.problem, point)
         values = np.linalg.eigvalsh(W @ e.hessian[0] @ W)
         direction = self.local(point.n, along)
-        _, _, vectors = np.linalg.svd(self._derivative(e))
+        _, singular, vectors = np.linalg.svd(self._derivative(e))
         # In a family or at a crossing, several null directions exist; keep the previous tangent.
         rank = len(vectors) - 1
-        singular = np.linalg.svd(self._derivative(e), compute_uv=False)
         if singular.size:
             rank = min(rank, int((singular > 1e-9 * singular[0]).sum()))
         null = vectors[rank:]
         t = null.T @ (null @ direction)
         length = float(np.linalg.norm(t))
         t = null[-1] if length < 1e-9 else t / length
-        ma = point.dimension
-        n_direction = tangents(point.n)[0] @ t[ma:-1] if point.n.size else np.zeros(0)
-        tangent = np.concatenate([t[:ma], n_direction, t[-1:]])
         return CurvePoint(
-            point.x[0].copy(), point.n[0].copy(), J, tangent, values, float(residuals(e)[0]),
-            point.space,
+            point.x[0].copy(), point.n[0].copy(), J, self.ambient(point.n, t), values,
+            float(residuals(e)[0]), point.space,
         )  # fmt: skip
 
     def _derivative(self, e: Energies) -> Array:

@@ -119,7 +119,7 @@ class DistinctPoints:
         flat = flat_counts > 0
         index = (curvatures < -floor[:, None]).sum(axis=1)
         # For a regular point, the Newton step bounds the distance from the root.
-        is_root = flat | (np.linalg.norm(newton_step(e, absolute=False), axis=1) <= _SAME)
+        is_root = flat | (np.linalg.norm(newton_step(e), axis=1) <= _SAME)
         points = self._snapped(self._tidy(points), flat)
         previous = len(self.orbits)
         new: list[int] = []

@@ -19,7 +19,7 @@ Source: P.-A. Absil, R. Mahony, R. Sepulchre, "Optimization algorithms on matrix
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, TypeAlias
 
@@ -453,7 +453,6 @@ class LoopSurface:
     active: NDArray[np.intp]
     active_x: Sequence[int]
     rest: Array
-    _functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
 
     @property
     def rank(self) -> int:
@@ -482,7 +481,7 @@ class LoopSurface:
             return np.empty((0, self.space.m, self.space.m))
         J = self._evaluated(x)[1]
         multipliers = np.linalg.pinv(np.swapaxes(J, 1, 2)) @ gradient[..., None]
-        second = self._second(self._shapes(x).T, multipliers[..., 0].T)
+        second = self._functions[1](self._shapes(x).T, multipliers[..., 0].T)
         return np.array(second).T.reshape(len(x), self.space.m, self.space.m)
 
     def moved(self, x: Array, step: Array) -> Array:
@@ -564,23 +563,12 @@ class LoopSurface:
         count = len(x)
         if not count:
             return np.empty((0, self.rank)), np.empty((0, self.rank, self.space.m))
-        phi, J = (np.array(value) for value in self._first(self._shapes(x).T))
+        phi, J = (np.array(value) for value in self._functions[0](self._shapes(x).T))
         return phi.T, np.swapaxes(J.T.reshape(count, self.space.m, self.rank), 1, 2)
 
-    @property
-    def _first(self) -> ca.Function:
-        if "first" not in self._functions:
-            self._compile()
-        return self._functions["first"]
-
-    @property
-    def _second(self) -> ca.Function:
-        if "second" not in self._functions:
-            self._compile()
-        return self._functions["second"]
-
-    def _compile(self) -> None:
-        """Differentiate φ along displacements w of the active joints at w = 0."""
+    @cached_property
+    def _functions(self) -> tuple[ca.Function, ca.Function]:
+        """CasADi functions of φ and J, and of Σ λ_i ∂∂φ_i, along displacements w at w = 0."""
         system = self.system
         x, w = ca.SX.sym("x", system.nx), ca.SX.sym("w", system.m)
         multipliers = ca.SX.sym("multipliers", self.rank)
@@ -596,5 +584,5 @@ class LoopSurface:
         at_zero = [ca.substitute(term, w, ca.SX.zeros(system.m)) for term in (phi, J, H)]
         phi, J, H = (ca.densify(term) for term in at_zero)
         options = {"cse": True}
-        self._functions["first"] = ca.Function("first", [x], [phi, ca.vec(J)], options)
-        self._functions["second"] = ca.Function("second", [x, multipliers], [ca.vec(H)], options)
+        first = ca.Function("first", [x], [phi, ca.vec(J)], options)
+        return first, ca.Function("second", [x, multipliers], [ca.vec(H)], options)

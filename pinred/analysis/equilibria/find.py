@@ -54,6 +54,7 @@ from .search import (
     AmendedEnergy,
     Energies,
     critical_points,
+    descent_step,
     iterated,
     minima,
     polished,
@@ -207,7 +208,6 @@ def _chart_gradient(energy: AmendedEnergy, point: Points, step: Array, J: float)
 
 _AWAY = 0.1  # first step of a walk [rad | m]
 _SAME = 1e-9  # largest distance of equal starts
-_FLAT = 1e-9  # smallest curvature used, as a fraction of the largest; smaller ones are replaced
 
 
 def walks_from(
@@ -240,31 +240,19 @@ def walks_from(
 
 
 def walk(
-    energy: AmendedEnergy, starts: Points, wanted: NDArray[np.intp], J: float
+    energy: AmendedEnergy, starts: Points, indices: NDArray[np.intp], J: float
 ) -> tuple[Points, Energies]:
     """Walk to critical points with given numbers of negative curvatures.
 
     Args:
         energy: The amended potential.
         starts: Starting points.
-        wanted: Target number of negative curvatures, (N,).
+        indices: Target number of negative curvatures, (N,).
         J: Momentum.
     Returns:
         The critical points to which walks converged, and their energies.
     """
-    return iterated(energy, starts, J, lambda e, running: _step(e, wanted[running]))
-
-
-def _step(e: Energies, wanted: NDArray[np.intp]) -> Array:
-    """Return the steps that ascend along the `wanted` lowest curvatures, and descend otherwise."""
-    values, vectors = np.linalg.eigh(e.hessian)
-    components = (np.swapaxes(vectors, 1, 2) @ e.gradient[..., None])[..., 0]
-    size = np.abs(values)
-    floor = _FLAT * size.max(axis=1, keepdims=True)
-    components = components / np.maximum(size, np.where(floor > 0.0, floor, 1.0))
-    ascends = np.arange(values.shape[1]) < wanted[:, None]
-    components = np.where(ascends, components, -components)
-    return np.asarray((vectors @ components[..., None])[..., 0])
+    return iterated(energy, starts, J, lambda e, running: descent_step(e, indices[running, None]))
 
 
 MANY_JOINTS = 6  # number of active joints from which fewer starts are the default

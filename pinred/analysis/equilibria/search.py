@@ -159,7 +159,8 @@ class AmendedEnergy:
         Ei[[0, 1, 2], [0, 1, 2], 0] = 1.0
         Et, Eit = np.swapaxes(E, 1, 2), np.swapaxes(Ei, 1, 2)
         K1, K2 = np.zeros((N, T, k, k)), np.zeros((N, T, T, k, k))
-        K1[:, :ma], K2[:, :ma, :ma] = Et[:, None] @ full1 @ E[:, None], _both(Et, full2, E)
+        K1[:, :ma] = Et[:, None] @ full1 @ E[:, None]
+        K2[:, :ma, :ma] = Et[:, None, None] @ full2 @ E[:, None, None]
         K1[:, ma:] = _symmetric(Eit @ (full @ E)[:, None])
         mixed = _symmetric(Eit @ (full1 @ E[:, None])[:, :, None])
         K2[:, :ma, ma:], K2[:, ma:, :ma] = mixed, np.swapaxes(mixed, 1, 2)
@@ -274,11 +275,6 @@ def _symmetrised(d: InertiaDerivatives) -> InertiaDerivatives:
 
 def _symmetric(matrix: Array) -> Array:
     return matrix + np.swapaxes(matrix, -1, -2)
-
-
-def _both(Et: Array, matrix: Array, E: Array) -> Array:
-    """Return Eᵀ M E for an array M with two additional derivative axes."""
-    return np.asarray(Et[:, None, None] @ matrix @ E[:, None, None])
 
 
 NEWTON, DESCENT = 60, 200  # largest number of Newton and of descent steps
@@ -400,7 +396,7 @@ def critical_points(energy: AmendedEnergy, points: Points, J: float) -> tuple[Po
     Returns:
         The points that converged to critical points, and their energies.
     """
-    return iterated(energy, points, J, lambda e, _: -newton_step(e, absolute=False))
+    return iterated(energy, points, J, lambda e, _: newton_step(e))
 
 
 def iterated(
@@ -449,7 +445,7 @@ def minima(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, Ene
     e = energy(current, J)
     running, e = running[np.isfinite(residuals(e))], some(e, np.isfinite(residuals(e)))
     for _ in range(DESCENT if running.size else 0):
-        step = clipped(-newton_step(e, absolute=True), radius[running])
+        step = clipped(descent_step(e), radius[running])
         tried = current[running].moved(step)
         new = energy(tried, J)
         lower = np.isfinite(residuals(new)) & (e.U + 1e-15 * e.scale >= new.U)
@@ -477,7 +473,7 @@ def polished(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, E
     """
     e = energy(points, J)
     for _ in range(4 if len(points) else 0):
-        tried = points.moved(-newton_step(e, absolute=False))
+        tried = points.moved(newton_step(e))
         new = energy(tried, J)
         better = residuals(new) < residuals(e)
         points = points.at(
@@ -505,27 +501,42 @@ def converged(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, 
     return points[good], some(e, good)
 
 
-def newton_step(e: Energies, *, absolute: bool) -> Array:
-    """Return H⁻¹ g, or |H|⁻¹ g; directions of zero curvature are omitted.
+def newton_step(e: Energies) -> Array:
+    """Compute the steps −H⁻¹ g; directions of zero curvature are omitted.
 
     Args:
         e: Energies with gradient g and Hessian H.
-        absolute: Whether to take the absolute values of the curvatures.
     Returns:
         (N, u).
     """
-    if not e.gradient.shape[1]:
-        return e.gradient
-    values, vectors = np.linalg.eigh(e.hessian)
-    components = (np.swapaxes(vectors, 1, 2) @ e.gradient[..., None])[..., 0]
-    size = np.abs(values)
-    floor = _FLAT * size.max(axis=1, keepdims=True)
-    if absolute:
-        components = components / np.maximum(size, np.where(floor > 0.0, floor, 1.0))
-    else:
-        flat = size <= floor
-        components = np.where(flat, 0.0, components / np.where(flat, 1.0, values))
+    curvatures, vectors, components, floor = _principal_gradients(e)
+    flat = np.abs(curvatures) <= floor
+    components = np.where(flat, 0.0, components / np.where(flat, 1.0, curvatures))
+    return np.asarray(-(vectors @ components[..., None])[..., 0])
+
+
+def descent_step(e: Energies, ascending: NDArray[np.intp] | int = 0) -> Array:
+    """Compute the steps −|H|⁻¹ g, with the opposite sign along the lowest curvatures.
+
+    Args:
+        e: Energies with gradient g and Hessian H.
+        ascending: Number of the lowest curvatures along which steps ascend, one number or (N, 1).
+    Returns:
+        (N, u).
+    """
+    curvatures, vectors, components, floor = _principal_gradients(e)
+    components = components / np.maximum(np.abs(curvatures), np.where(floor > 0.0, floor, 1.0))
+    ascends = np.arange(curvatures.shape[1]) < ascending
+    components = np.where(ascends, components, -components)
     return np.asarray((vectors @ components[..., None])[..., 0])
+
+
+def _principal_gradients(e: Energies) -> tuple[Array, Array, Array, Array]:
+    """Return curvatures, their directions, components of g along them, and the least curvature."""
+    curvatures, vectors = np.linalg.eigh(e.hessian)
+    components = (np.swapaxes(vectors, 1, 2) @ e.gradient[..., None])[..., 0]
+    floor = _FLAT * np.abs(curvatures).max(axis=1, keepdims=True, initial=0.0)
+    return curvatures, vectors, components, floor
 
 
 def clipped(step: Array, longest: float | Array) -> Array:

@@ -191,7 +191,8 @@ def floquet(traj: Trajectory, *, period: float | None = None) -> FloquetMultipli
     else:
         flow = linearised_flow(traj)
         initial_y, initial_basis = flow.y.copy(), flow.Y.copy()
-        flow.advance_converged(T)
+        flow.longest = 0.5 * flow.converged_step(T)
+        flow.advance(T)
     flow.align(initial_y)
     flow.reset_gauge()
     closure = _closure(traj, flow, initial_y, T)

@@ -230,11 +230,6 @@ class LinearisedFlow:
             longest, directions = 0.5 * longest, refined
         return longest
 
-    def advance_converged(self, duration: float) -> None:
-        """Advance by a duration [s], with steps so short that halving them does not change Y."""
-        self.longest = 0.5 * self.converged_step(duration)
-        self.advance(duration)
-
     def _after(self, duration: float, longest: float) -> Array:
         """Compute Y after a duration, with steps of at most `longest`; self is not modified."""
         copy = replace(self, y=self.y.copy(), Y=self.Y.copy(), longest=longest)

@@ -257,16 +257,12 @@ def active_limits(limits: Limits, margins: Mapping[str, float]) -> tuple[str, ..
 
 def peak_speeds(gait: Gait) -> Array:
     """Return the largest speed of each joint, (m,)."""
-    if gait.is_smooth:
-        return np.asarray(np.abs(_rate_gait(gait).limits).max(axis=1))
-    return np.asarray(np.abs(gait.samples(_TIMES)[1]).max(axis=0))
-
-
-def _rate_gait(gait: Gait) -> Gait:
-    """Return the joint rates ẋ(t) of a Fourier gait as another Fourier gait."""
-    arc = gait.series
+    if not gait.is_smooth:
+        return np.asarray(np.abs(gait.samples(_TIMES)[1]).max(axis=0))
+    arc = gait.series  # its rates ẋ(t) are another Fourier series
     k = np.arange(1, len(arc.cos) + 1)[:, None] * ((arc.end - arc.start) / gait.period)
-    return Gait((replace(arc, mean=0.0 * arc.mean, cos=k * arc.sin, sin=-k * arc.cos),))
+    rates = Gait((replace(arc, mean=0.0 * arc.mean, cos=k * arc.sin, sin=-k * arc.cos),))
+    return np.asarray(np.abs(rates.limits).max(axis=1))
 
 
 def torque_samples(harmonics: int) -> Array:

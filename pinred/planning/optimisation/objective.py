@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...analysis.connections.connection import Connection
+from ...analysis.connections.connection import Connection, require_metric
 from ...analysis.phases.lift import PathBasis, PathLift, sum_over_nodes
 from ...common.arrays import Array, FrozenArrays, as_floats, vector
 from ...common.errors import InputError
@@ -360,16 +360,16 @@ def cost_of(
     if kind == "acceleration":
         order = 2
         force = connection.code.covariant_forces(x, slope, bend, np.zeros_like(x))[0]
-        M = connection.locals_at(x)[1]
-        if M is None:
-            raise InputError(f"{connection.form.what} define no metric on shape space")
+        M = require_metric(connection.form, connection.locals_at(x)[1])
         u: Array = np.linalg.solve(M, force[..., None])[..., 0].astype(float)
         derivatives = 2.0 * connection.code.covariant_forces(x, slope, bend, u)[1]
         derivatives[:, :m] -= _squares(connection, x, u)[:, :m]
         value, power = float(w @ np.sum(force * u, axis=1)), 1 - 2 * order
     else:
         tau = torques(connection, x, slope, bend)
-        rates = np.ones_like(tau) if kind == "torque" else _frame_rates(connection, x, slope)
+        rates = np.ones_like(tau)
+        if kind == "power":
+            rates = slope if connection.chart is None else connection.chart.rates(x, slope)
         derivatives = 2.0 * torque_slopes(connection, x, slope, bend, tau * rates**2)
         if kind == "power":
             _add_rate_gradients(derivatives, connection, x, slope, 2.0 * tau**2 * rates)
@@ -381,11 +381,6 @@ def cost_of(
         scale * sum_over_nodes(basis, m, w[:, None] * derivatives),
         power * scale * value,
     )
-
-
-def _frame_rates(connection: Connection, x: Array, slope: Array) -> Array:
-    """Return the rates of joints and of the axes of balls, (N, m)."""
-    return slope if connection.chart is None else connection.chart.rates(x, slope)
 
 
 def _add_rate_gradients(

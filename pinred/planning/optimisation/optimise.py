@@ -286,16 +286,11 @@ def distance_of(task: Task, gait: Gait, merit: float, cost: float) -> OptimumDis
     if not gait.is_smooth:
         return OptimumDistance(None, "none", reason)
     try:
-        return OptimumDistance(_doubled(task, gait) - merit, "harmonics", reason)
+        end = finish(Search(task, fourier_path_of(task, 2 * len(gait.series.cos))), gait)
     except StartFailed as error:
         return OptimumDistance(None, "none", f"with twice the harmonics, {error}")
-
-
-def _doubled(task: Task, gait: Gait) -> float:
-    """Return the merit of the optimum with twice the harmonics.  Raises StartFailed."""
-    search = Search(task, fourier_path_of(task, 2 * len(gait.series.cos)))
-    end = finish(search, gait)
-    return measure(end.search, end.best, end.search.gait(end.best.z)).merit
+    richer = measure(end.search, end.best, end.search.gait(end.best.z)).merit
+    return OptimumDistance(richer - merit, "harmonics", reason)
 
 
 @checks_arguments
@@ -342,19 +337,6 @@ def polygon_path(corners: int, *, clockwise: bool) -> Path:
         matrix[k, :, 2 + k] = np.cos(angle), np.sin(angle)
     basis = polygon_basis(corners, _PIECES)
     return Path(basis, matrix.reshape(2 * corners, -1), np.zeros((corners, 2)))
-
-
-def polygon_gait(path: Path, y: Array, period: float) -> Gait:
-    """Convert a polygon to a gait of constant speed.
-
-    Args:
-        path: The family of polygons.
-        y: Unknowns of the polygon: centre and distances.
-        period: Period [s].
-    Returns:
-        The gait.
-    """
-    return Gait.waypoints(path.coefficients(y), period=period)
 
 
 _CONTINUED = (1, 3, 5, 9)  # numbers of harmonics in the successive optimisations of a continuation
@@ -662,7 +644,8 @@ def _optimise_polygon(task: Task, vertices: int, rng: np.random.Generator) -> Op
         upper=np.concatenate([problem.upper, high, np.full(vertices, np.inf)]),
     )  # fmt: skip
     best = sharpened(problem, minimum(problem, y))
-    gait = polygon_gait(path, best.z, task.period)
+    corners = path.coefficients(best.z)
+    gait = Gait.waypoints(corners, period=task.period)
     # Triangles may pass through the middle of their ranges, but not through their mean corner.
-    turns = _winding(gait, path.coefficients(best.z).mean(axis=0))
+    turns = _winding(gait, corners.mean(axis=0))
     return _verify(Search(task, path), best, gait, turns)
