@@ -160,7 +160,7 @@ def test_crossing_is_pitchfork_below_third_derivative_limit(third: float, kind: 
         energy=energy,
         null_vector=lambda _: np.ones(1),
         slope_by_momentum=lambda _: np.zeros(1),
-        ambient=lambda _, v: np.append(v, 0.0),
+        ambient=lambda _, direction: direction,
         local=lambda _, along: along,
     )
     flat = np.zeros(1)

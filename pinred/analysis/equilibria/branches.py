@@ -147,8 +147,8 @@ def classify(curve: Curve, at: CurvePoint) -> Bifurcation | None:
         return Bifurcation("fold", at, v, residual)
     curvatures = []
     for sign in (1.0, -1.0):
-        energies = curve.energy(at.points.moved(sign * _STEP * v[None]), at.J)
         neighbour = at.points.moved(sign * _STEP * v[None])
+        energies = curve.energy(neighbour, at.J)
         direction = _transported(curve, at, neighbour, v)
         curvatures.append(float(direction @ energies.hessian[0] @ direction))
     third_derivative = (curvatures[0] - curvatures[1]) / (2.0 * _STEP)

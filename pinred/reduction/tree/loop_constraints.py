@@ -117,16 +117,16 @@ class LoopRows:
         up, down = ([i for i in chain if i not in common] for chain in chains)
         places = [bodies[end.joint - 1].frame.actInv(end.placement) for end in (a, b)]
         # The rows of R are e_i of frame a in the axes of the current body.
-        rows: Mat = [[float(c) for c in row] for row in places[0].rotation.T]
-        position: Vec = [-dot(row, [float(c) for c in places[0].translation]) for row in rows]
+        R: Mat = [[float(c) for c in row] for row in places[0].rotation.T]
+        position: Vec = [-dot(axis, [float(c) for c in places[0].translation]) for axis in R]
         pending, crossings = list(position), list[_Crossing]()
         for i in up:
             body, step = bodies[i], step_of(bodies[i], joints)
-            axes = _axes(body, rows)
+            axes = _axes(body, R)
             for turn in reversed(step.turns):
                 if not turn.is_none:
-                    rows = [turn.vector(row) for row in rows]
-            back = [mul(-1.0, dot(row, step.shift)) for row in rows]
+                    R = [turn.vector(axis) for axis in R]
+            back = [mul(-1.0, dot(axis, step.shift)) for axis in R]
             after = plus(back, [mul(-1.0, mul(z, step.slide)) for z in axes[0]])
             if body.is_ball:
                 after = back
@@ -134,19 +134,19 @@ class LoopRows:
             position, pending = plus(position, after), [0.0, 0.0, 0.0]
         for i in reversed(down):
             body, step = bodies[i], step_of(bodies[i], joints)
-            before = plus(pending, [dot(row, step.shift) for row in rows])
-            at = plus(position, [dot(row, step.shift) for row in rows])
+            before = plus(pending, [dot(axis, step.shift) for axis in R])
+            at = plus(position, [dot(axis, step.shift) for axis in R])
             for turn in step.turns:
                 if not turn.is_none:
-                    rows = [turn.back(row) for row in rows]
-            axes = _axes(body, rows)
+                    R = [turn.back(axis) for axis in R]
+            axes = _axes(body, R)
             slide = [0.0] * 3 if body.is_ball else [mul(z, step.slide) for z in axes[0]]
             crossings.append(_Crossing(body, 1.0, axes, at, before, slide))
             position, pending = plus(at, slide), [0.0, 0.0, 0.0]
-        last = plus(pending, [dot(row, [float(c) for c in places[1].translation]) for row in rows])
+        last = plus(pending, [dot(axis, [float(c) for c in places[1].translation]) for axis in R])
         tip = plus(position, [sub(c, p) for c, p in zip(last, pending, strict=True)])
         turned = [[float(c) for c in column] for column in places[1].rotation.T]
-        attitude = [[dot(row, column) for row in rows] for column in turned]
+        attitude = [[dot(axis, column) for axis in R] for column in turned]
         return cls(loop, crossings, tip, last, attitude)
 
     def row(self, n: int) -> dict[int, Scalar]:
@@ -350,11 +350,11 @@ def chain_to_root(bodies: Sequence[Body], end: LoopEnd) -> list[int]:
     return chain
 
 
-def _axes(body: Body, rows: Mat) -> Mat:
-    """Return the axes of a joint's rates; rows: axes of frame a in the axes of its body."""
+def _axes(body: Body, R: Mat) -> Mat:
+    """Return the axes of a joint's rates; R: axes of frame a in the axes of its body, by rows."""
     if not body.is_ball:
-        return [[row[2] for row in rows]]
-    return [[dot(row, body.to_frame(unit)) for row in rows] for unit in _UNITS]
+        return [[axis[2] for axis in R]]
+    return [[dot(axis, body.to_frame(unit)) for axis in R] for unit in _UNITS]
 
 
 def _turn(turning: Mapping[tuple[int, int], Scalar], columns: Mapping[int, Vec]) -> Vec:
