@@ -5,18 +5,13 @@ from __future__ import annotations
 import inspect
 import re
 import sys
-import site_pages
-from dataclasses import dataclass
-from dataclasses import fields
-from dataclasses import is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
-from api_index import NAMESPACES
-from api_index import public_names
-from docstring_markdown import code
-from docstring_markdown import escape
-from docstring_markdown import parse
-from docstring_markdown import table
+
+import site_pages
+from api_index import NAMESPACES, public_names
+from docstring_markdown import code, escape, parse, table
 
 sys.path.append(str(Path(__file__).parents[2] / "tests/helpers"))
 

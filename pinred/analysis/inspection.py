@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-import numpy as np
 from dataclasses import dataclass
+
+import numpy as np
 from numpy.typing import ArrayLike
+
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import SymmetryError
 from ..common.waiting import Wait
-from ..reduction.cyclic_joints import SymmetricBall
-from ..reduction.cyclic_joints import cyclic_of
-from ..reduction.cyclic_joints import symmetric_balls
-from ..reduction.pointwise_reduction import PointwiseReduction
-from ..reduction.pointwise_reduction import ReducedShape
-from ..reduction.pointwise_reduction import bracket_term
+from ..reduction.cyclic_joints import SymmetricBall, cyclic_of, symmetric_balls
+from ..reduction.pointwise_reduction import PointwiseReduction, ReducedShape, bracket_term
 from ..reduction.poisson_brackets import casimirs
 from ..reduction.potential import broken_by_gravity
-from ..scene.input_formats import actuators_left_out
-from ..scene.input_formats import passive_left_out
+from ..scene.input_formats import actuators_left_out, passive_left_out
 from ..scene.scene import Scene
 from ..simulation.plan import plan_of
 from ..simulation.simulate import skipped
 from ..system.hinge_triples import hinge_triples
-from ..system.loops.loop_assembly import CLOSED
-from ..system.loops.loop_assembly import assemble
-from ..system.merge_hinges import actions_of
-from ..system.merge_hinges import coupled_joints
-from ..system.system import System
-from ..system.system import checked_system
-from .connections.loop_connection import ClosedShape
-from .connections.loop_connection import LoopReduction
+from ..system.loops.loop_assembly import CLOSED, assemble
+from ..system.merge_hinges import actions_of, coupled_joints
+from ..system.system import System, checked_system
+from .connections.loop_connection import ClosedShape, LoopReduction
 
 _SHAPES = 3  # number of random shapes at which the curvature is tested
 _NEARBY = 0.3  # displacement to nearby closed shapes [rad | m]

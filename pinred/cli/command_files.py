@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
-from collections.abc import Mapping
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
 from ..common.errors import InputError
-from ..common.files import FIGURES
-from ..common.files import check_path
-from ..common.files import write_atomic
-from ..common.files import write_table
+from ..common.files import FIGURES, check_path, write_atomic, write_table
 from ..common.waiting import ProgressBar
 
 if TYPE_CHECKING:

@@ -9,14 +9,11 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable
-from collections.abc import Mapping
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING
-from typing import Any
-from typing import TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
 from ..common.errors import InputError
 from ..common.names import quoted
 

@@ -4,27 +4,24 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
 from ..common.errors import InputError
-from ..common.files import DATA
-from ..common.files import FIGURES
-from .command_files import describe_file
-from .command_files import out_path
-from .command_files import save_figure
-from .command_files import write_plan
-from .command_files import write_series
-from .command_options import ROBOT
-from .command_options import add_options
-from .command_options import add_parameters
-from .command_options import add_robot
-from .command_options import add_source
-from .command_options import connection_keys
-from .command_options import option_adder
-from .command_options import options_in
-from .command_options import refuse_of_robots
-from .command_options import source_of
-from .command_options import system_of
+from ..common.files import DATA, FIGURES
+from .command_files import describe_file, out_path, save_figure, write_plan, write_series
+from .command_options import (
+    ROBOT,
+    add_options,
+    add_parameters,
+    add_robot,
+    add_source,
+    connection_keys,
+    option_adder,
+    options_in,
+    refuse_of_robots,
+    source_of,
+    system_of,
+)
 
 if TYPE_CHECKING:
     from ..analysis.phases.gait import Gait

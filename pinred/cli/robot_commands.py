@@ -6,22 +6,20 @@ import argparse
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
-from typing import Any
-from ..common.errors import InputError
-from ..common.errors import PinredError
+from typing import TYPE_CHECKING, Any
+
+from ..common.errors import InputError, PinredError
 from ..common.files import FIGURES
-from .command_files import describe_file
-from .command_files import out_path
-from .command_files import save_figure
-from .command_files import show_motion
-from .command_options import add_options
-from .command_options import add_robot
-from .command_options import by_joint_in
-from .command_options import numbers_in
-from .command_options import option_adder
-from .command_options import options_in
-from .command_options import system_of
+from .command_files import describe_file, out_path, save_figure, show_motion
+from .command_options import (
+    add_options,
+    add_robot,
+    by_joint_in,
+    numbers_in,
+    option_adder,
+    options_in,
+    system_of,
+)
 
 if TYPE_CHECKING:
     from ..analysis.equilibria.relative_equilibrium import Equilibria

@@ -11,29 +11,25 @@ import filecmp
 import os
 import subprocess
 import sys
-import numpy as np
-from collections.abc import Callable
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from shutil import copytree
-from shutil import rmtree
+from shutil import copytree, rmtree
 from tempfile import TemporaryDirectory
 from typing import Any
+
+import numpy as np
+
 from ..analysis.phases.gait import Gait
 from ..analysis.phases.phase import phase
 from ..analysis.stability.linearised_flow import linearised_flow
 from ..common.errors import InputError
 from ..forces.kinds import Torque
 from ..forces.signals.signal import Hold
-from ..integrators.methods import DOP853
-from ..integrators.methods import METHODS
-from ..integrators.methods import Explicit
-from ..integrators.methods import Tsit5
+from ..integrators.methods import DOP853, METHODS, Explicit, Tsit5
 from ..integrators.stepping import shipped_code
-from ..integrators.stepping.call_wrapper import ArgumentType
-from ..integrators.stepping.call_wrapper import Bitcode
+from ..integrators.stepping.call_wrapper import ArgumentType, Bitcode
 from ..judge.compare import compare
 from ..kernels.device.device_code import loop_arguments
 from ..kernels.device.few_rows import stepper_with_few_rows
@@ -42,10 +38,8 @@ from ..simulation.simulate import simulate
 from ..simulation.simulate_many import simulate_many
 from ..system.load import load
 from ..system.system import System
-from ..views.playback.film import SIZE
-from ..views.playback.film import Frames
-from ..views.playback.view_options import FILM_FPS
-from ..views.playback.view_options import View
+from ..views.playback.film import SIZE, Frames
+from ..views.playback.view_options import FILM_FPS, View
 from .installation_commands import warm_caches
 
 # The compiler of all shipped bitcode.  Newer versions of LLVM read bitcode of this one, the oldest

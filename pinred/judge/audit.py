@@ -24,26 +24,23 @@ The acceleration therefore follows from the equations alone, independent of the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pinocchio as pin
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import replace
+
 from ..common.arrays import Array
 from ..common.errors import InputError
 from ..reduction.cyclic_joints import SymmetricBall
-from ..simulation.balances import energy_balance
-from ..simulation.balances import momentum_balance
+from ..simulation.balances import energy_balance, momentum_balance
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import State
-from ..system.system import System
-from ..system.system import moved_masses
-from .full_system import gravity_load_sizes
-from .full_system import mass_matrix
-from .reference_solution import SPREAD_MARGIN
-from .reference_solution import FullState
+from ..system.system import System, moved_masses
+from .full_system import gravity_load_sizes, mass_matrix
+from .reference_solution import SPREAD_MARGIN, FullState
 from .step_defects import full_states
-from ..reduction.pointwise_reduction import symmetric
+
 
 def axial_momentum_drifts(
     system: System, balls: Sequence[SymmetricBall], states: State

@@ -8,33 +8,25 @@ followers and prescribed joints as constraints. Reactions of joints at rest are 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain, combinations
+from typing import cast
+
 import numpy as np
 import pinocchio as pin
-from collections.abc import Callable
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import replace
-from functools import partial
-from itertools import chain
-from itertools import combinations
-from typing import cast
+
 from ..common.arrays import Array
 from ..forces.switch_times import time_within
 from ..scene.scene import Scene
-from ..scene.stop import BallBound
-from ..scene.stop import BallStop
-from ..scene.stop import Stop
+from ..scene.stop import BallBound, BallStop, Stop
 from ..simulation.motion import Replay
 from ..simulation.trajectory import Trajectory
 from ..system.loops.kinematics import LoopKinematics
-from .full_system import RANK
-from .full_system import mass_matrix
-from .reference_integrators import AbaStopped
-from .reference_integrators import TimeBudget
-from .reference_solution import PERTURBATION
-from .reference_solution import FullMotion
-from .reference_solution import FullState
-from ..reduction.pointwise_reduction import symmetric
+from .full_system import RANK, mass_matrix
+from .reference_integrators import AbaStopped, TimeBudget
+from .reference_solution import PERTURBATION, FullMotion, FullState
 
 _LEAST_RTOL = 2.3e-14  # tightest relative tolerance of SciPy's DOP853
 _SAMPLES = 16  # number of times in a step at which gaps and reactions are evaluated

@@ -8,44 +8,34 @@ and velocity of the centre of mass.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
-from dataclasses import dataclass
-from dataclasses import replace
-from functools import cached_property
-from typing import Literal
+
 from ..common.arrays import Array
-from ..common.machine_code import NativeCode
-from ..common.machine_code import load_object
+from ..common.machine_code import NativeCode, load_object
 from ..common.memo import once
-from ..common.object_cache import ObjectCache
-from ..common.object_cache import cache_key
+from ..common.object_cache import ObjectCache, cache_key
 from ..reduction.base_parts import BaseParts
 from ..reduction.pointwise_reduction import mass_matrix_at
 from ..reduction.potential import translations
 from ..reduction.tree.all_joints import joint_values
 from ..reduction.tree.articulated_sweep import sweep
 from ..reduction.tree.body_frames import bodies_of
-from ..reduction.tree.free_bodies import NOTHING
-from ..reduction.tree.free_bodies import Freed
-from ..reduction.tree.free_bodies import free_numbers
-from ..reduction.tree.free_bodies import total_mass
-from ..reduction.tree.free_bodies import with_free
-from ..reduction.tree.momenta import centre_of_mass
-from ..reduction.tree.momenta import momenta
+from ..reduction.tree.free_bodies import NOTHING, Freed, free_numbers, total_mass, with_free
+from ..reduction.tree.momenta import centre_of_mass, momenta
 from ..reduction.tree.scalars import Scalar
-from ..system.system import System
-from ..system.system import nominal
+from ..system.system import System, nominal
 from .build import model_bytes
 from .evaluate import evaluate
 from .machine.native import compile_object
 from .reduced_graph import BaseGraph
-from .reference_state import length_of
-from .reference_state import perturb_parameters
-from .reference_state import steps_of
-from .validation import explain_ill_scaling
-from .validation import require_agreement
+from .reference_state import length_of, perturb_parameters, steps_of
+from .validation import explain_ill_scaling, require_agreement
 
 TwistOrMomentum = Literal["xi", "mu"]
 _NAME = "initial_conditions"

@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
-from dataclasses import dataclass
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
+
 from ..common.arrays import Array
-from ..forces.force_numbers import BaseInSpace
-from ..forces.force_numbers import ForceInputs
+from ..forces.force_numbers import BaseInSpace, ForceInputs
 from ..reduction.pointwise_reduction import mass_matrix_at
-from ..reduction.potential import acting_gravity
-from ..reduction.potential import falling
-from ..reduction.potential import translations
+from ..reduction.potential import acting_gravity, falling, translations
 from ..reduction.tree.body_frames import bodies_of
-from ..reduction.tree.free_bodies import Freed
-from ..reduction.tree.free_bodies import free_numbers
-from ..reduction.tree.free_bodies import other_placement
+from ..reduction.tree.free_bodies import Freed, free_numbers, other_placement
 from ..system.loops.kinematics import loop_jacobian
-from ..system.loops.loop_assembly import CLOSED
-from ..system.loops.loop_assembly import assemble
-from ..system.system import in_gravity
-from ..system.system import moved_masses
-from ..system.system import radius_of_gyration
-from ..system.system import with_numbers
+from ..system.loops.loop_assembly import CLOSED, assemble
+from ..system.system import in_gravity, moved_masses, radius_of_gyration, with_numbers
 from .pinocchio_terms import with_closed_loops
 
 if TYPE_CHECKING:

@@ -2,51 +2,45 @@
 
 from __future__ import annotations
 
-import numpy as np
-from collections.abc import Mapping
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import field
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+
 from ..analysis.connections.connection import Connection
-from ..analysis.connections.connection_physics import Ellipse
-from ..analysis.connections.connection_physics import Ellipsoid
-from ..analysis.connections.connection_physics import Rod
-from ..analysis.connections.connection_physics import Rolling
-from ..analysis.connections.connection_physics import Wheel
+from ..analysis.connections.connection_physics import Ellipse, Ellipsoid, Rod, Rolling, Wheel
 from ..analysis.phases.gait import Gait
 from ..common.argument_kinds import checks_arguments
-from ..common.arrays import Array
-from ..common.arrays import vector_or_zero
+from ..common.arrays import Array, vector_or_zero
 from ..common.errors import InputError
-from ..scene.scene_options import BY_JOINT
-from ..scene.scene_options import SCENE_OPTIONS
-from ..scene.toml.documents import ROBOT
-from ..scene.toml.documents import read_document
-from ..scene.toml.documents import robot_in
-from ..scene.toml.schema import ByName
-from ..scene.toml.schema import Either
-from ..scene.toml.schema import Key
-from ..scene.toml.schema import ListOf
-from ..scene.toml.schema import Schema
-from ..scene.toml.schema import Table
-from ..scene.toml.schema import Tagged
-from ..scene.toml.schema import Text
-from ..scene.toml.schema import Whole
-from ..scene.toml.schema import document_schema
-from ..scene.toml.schema import naming
-from ..scene.toml.schema import with_places
-from ..scene.toml.value_tables import NUMBER
-from ..scene.toml.value_tables import NUMBERS
-from ..scene.toml.value_tables import POSITIVE
-from ..scene.toml.value_tables import file_parameters
-from ..scene.toml.value_tables import refuse_others
-from ..scene.toml.value_tables import with_robot_parameters
+from ..scene.scene_options import BY_JOINT, SCENE_OPTIONS
+from ..scene.toml.documents import ROBOT, read_document, robot_in
+from ..scene.toml.schema import (
+    ByName,
+    Either,
+    Key,
+    ListOf,
+    Schema,
+    Table,
+    Tagged,
+    Text,
+    Whole,
+    document_schema,
+    naming,
+    with_places,
+)
+from ..scene.toml.value_tables import (
+    NUMBER,
+    NUMBERS,
+    POSITIVE,
+    file_parameters,
+    refuse_others,
+    with_robot_parameters,
+)
 from ..system.system import System
-from .optimisation.objective import AIMS
-from .optimisation.objective import COSTS
+from .optimisation.objective import AIMS, COSTS
 
 _POINT = ListOf(NUMBER, 3)
 _CENTRE = Key(_POINT, "its centre in the link's frame [m]", default="[0, 0, 0]")

@@ -15,20 +15,23 @@ evaluation takes one CRBA, one linear solve and one Coriolis matrix.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pinocchio as pin
-from collections.abc import Sequence
+
 from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
 from ..common.names import quoted
-from ..system.loops.kinematics import loop_jacobian
-from ..system.loops.kinematics import loop_jacobian_rate
+from ..system.loops.kinematics import loop_jacobian, loop_jacobian_rate
 from ..system.system import System
-from .pointwise_reduction import com_derivative
-from .pointwise_reduction import mass_matrix
-from .pointwise_reduction import symmetric
-from .pointwise_reduction import usual_inertias
-from .pointwise_reduction import usual_mass_matrices
+from .pointwise_reduction import (
+    com_derivative,
+    mass_matrix,
+    symmetric,
+    usual_inertias,
+    usual_mass_matrices,
+)
 from .potential import Potential
 from .tree.loop_constraints import GAUGE_RATE
 

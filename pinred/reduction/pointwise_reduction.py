@@ -26,37 +26,23 @@ formula for B′ is the same, because Θ is flat, ∂_αΘ_β − ∂_βΘ_α + 
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property
-from functools import lru_cache
-from typing import Any
-from typing import Self
-from typing import TypeAlias
-from numpy.typing import ArrayLike
-from numpy.typing import NDArray
-from ..common.argument_kinds import call_function
-from ..common.argument_kinds import checks_arguments
-from ..common.arrays import Array
-from ..common.arrays import FrozenArrays
-from ..common.arrays import as_floats
-from ..common.arrays import central_differences
-from ..common.arrays import vector
-from ..common.errors import InputError
-from ..common.errors import ShapeError
-from ..common.errors import SingularInertiaError
-from ..common.errors import SymmetryError
+from functools import cached_property, lru_cache
+from typing import Any, Self, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from ..common.argument_kinds import call_function, checks_arguments
+from ..common.arrays import Array, FrozenArrays, as_floats, central_differences, vector
+from ..common.errors import InputError, ShapeError, SingularInertiaError, SymmetryError
 from ..lie.group import Group
 from ..system.joints import axes_of
-from ..system.system import System
-from ..system.system import checked_system
-from .potential import Potential
-from .potential import Springs
-from .potential import pivot_weight
-from ..common.differences import central_differences
+from ..system.system import System, checked_system
+from .potential import Potential, Springs, pivot_weight
 
 _SAMPLES = 20  # number of random shapes that determine typical inertias
 

@@ -16,30 +16,25 @@ prescribed joints and τ of the others are known.  It then determines τ of the 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
 import numpy as np
 import pinocchio as pin
-from collections.abc import Callable
-from collections.abc import Sequence
-from dataclasses import dataclass
 from numpy.polynomial import legendre
+
 from ..common.argument_kinds import checks_arguments
-from ..common.arrays import Array
-from ..common.arrays import FrozenArrays
-from ..common.arrays import read_only
-from ..reduction.pointwise_reduction import com_derivative
-from ..reduction.pointwise_reduction import symmetric
+from ..common.arrays import Array, FrozenArrays, read_only
+from ..reduction.pointwise_reduction import com_derivative, symmetric
 from ..reduction.potential import shape_gravity
 from ..scene.stop import Bound
 from ..system.joints import axes_of
-from ..system.loops.kinematics import loop_jacobian
-from ..system.loops.kinematics import loop_jacobian_rate
-from ..system.state_fields import State
-from ..system.state_fields import with_base
+from ..system.loops.kinematics import loop_jacobian, loop_jacobian_rate
+from ..system.state_fields import State, with_base
 from ..system.system import System
 from .motion import Motion
 from .plan import Plan
-from .reduced_flow import Sample
-from .reduced_flow import map_samples
+from .reduced_flow import Sample, map_samples
 
 _POINTS = 8  # Number of Gauss points in each step.
 _ROUND_OFF = 16.0 * float(np.finfo(float).eps)  # of all components, relative to the largest one

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 import pinocchio as pin
-from collections.abc import Callable
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-from typing import Any
-from ..common.arrays import Array
-from ..common.arrays import read_only
+
+from ..common.arrays import Array, read_only
 from ..common.errors import IntegrationError
-from ..common.names import NamedResults
-from ..common.names import listed
+from ..common.names import NamedResults, listed
 from ..reduction.pointwise_reduction import symmetric
 from ..reduction.tree.loop_constraints import jacobian_function
-from ..system.loops.kinematics import loop_kinematics
-from ..system.loops.kinematics import rotation_axes
+from ..system.loops.kinematics import loop_kinematics, rotation_axes
 from ..system.loops.loop import Loop
-from ..system.loops.loop_assembly import rate_units
-from ..system.loops.loop_assembly import singularity
+from ..system.loops.loop_assembly import rate_units, singularity
 from ..system.state_fields import State
 from ..system.system import System
 from .plan import Plan

@@ -10,48 +10,34 @@ The compiled engine has the same equations in kernels/reduced_graph.py.
 
 from __future__ import annotations
 
-import numpy as np
 from collections.abc import Callable
 from copy import copy
 from functools import partial
-from scipy.integrate import DOP853
-from scipy.integrate import DenseOutput
-from scipy.integrate import OdeSolution
+
+import numpy as np
+from scipy.integrate import DOP853, DenseOutput, OdeSolution
+
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
 from ..common.waiting import Progress
-from ..forces.force_numbers import BaseInSpace
-from ..forces.force_numbers import ForceInputs
+from ..forces.force_numbers import BaseInSpace, ForceInputs
 from ..forces.switch_times import time_within
 from ..integrators.methods import DOP853_LEAST
 from ..integrators.solution import RunKeeper
-from ..lie.rotations import apply
-from ..lie.rotations import rotation
-from ..lie.rotations import unit
-from ..reduction.base_parts import base_parts
-from ..reduction.base_parts import into_body
-from ..reduction.base_parts import quaternion_rate
-from ..reduction.base_parts import root_of
-from ..reduction.canonical_form import CanonicalForm
-from ..reduction.canonical_form import lost_inertia
+from ..lie.rotations import apply, rotation, unit
+from ..reduction.base_parts import base_parts, into_body, quaternion_rate, root_of
+from ..reduction.canonical_form import CanonicalForm, lost_inertia
 from ..reduction.pointwise_reduction import symmetric
 from ..reduction.potential import shape_gravity
 from ..scene.initial_state import Start
 from ..system.loops.kinematics import on_surfaces
-from ..system.loops.loop import BallSurface
-from ..system.loops.loop import quaternion_parts
-from ..system.state_fields import ShapeState
-from ..system.state_fields import State
+from ..system.loops.loop import BallSurface, quaternion_parts
+from ..system.state_fields import ShapeState, State
 from .checkpoint import RunRecord
-from .motion import Motion
-from .motion import Solver
-from .motion import follow
+from .motion import Motion, Solver, follow
 from .plan import Plan
-from .reduced_flow import Integrate
-from .reduced_flow import Sample
-from .reduced_flow import Segment
-from .reduced_flow import entry_name
-from .reduced_flow import map_samples
+from .reduced_flow import Integrate, Sample, Segment, entry_name, map_samples
+
 
 class Base:
     """The base of one scene: its integrated variables b, and its motion.

@@ -10,58 +10,44 @@ Members that share a plan form a Group, with the initial states and parameters i
 
 from __future__ import annotations
 
-import numpy as np
-from collections.abc import Callable
-from collections.abc import Hashable
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import replace
-from functools import cached_property
-from functools import partial
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
-from ..common.arrays import Array
-from ..common.arrays import read_only
-from ..common.errors import InputError
-from ..common.errors import SymmetryError
+
+import numpy as np
+
+from ..common.arrays import Array, read_only
+from ..common.errors import InputError, SymmetryError
 from ..common.memo import once
 from ..common.names import brief
-from ..forces.force_model import ForceModel
-from ..forces.force_model import touched_by
-from ..forces.force_numbers import SpanNumbers
-from ..forces.force_numbers import tables_of_runs
+from ..forces.force_model import ForceModel, touched_by
+from ..forces.force_numbers import SpanNumbers, tables_of_runs
 from ..forces.switch_times import ROUND_OFF
-from ..integrators.methods import DOP853_LEAST
-from ..integrators.methods import AdaptiveGauss
-from ..integrators.methods import EqualSteps
-from ..integrators.methods import ErrorControl
-from ..integrators.methods import Method
-from ..integrators.methods import Radau
-from ..kernels.kernel import Layout
-from ..kernels.kernel import Structure
-from ..kernels.kernel import layout_of
-from ..reduction.cyclic_joints import SymmetricBall
-from ..reduction.cyclic_joints import always_symmetric
-from ..reduction.cyclic_joints import axial_among
-from ..reduction.cyclic_joints import cyclic_of
-from ..reduction.cyclic_joints import rotors_among
-from ..reduction.cyclic_joints import symmetric_balls_of
-from ..reduction.potential import acting_gravity
-from ..reduction.potential import falling
-from ..reduction.potential import pivot_weight
-from ..reduction.tree.free_bodies import NOTHING
-from ..reduction.tree.free_bodies import Freed
-from ..reduction.tree.free_bodies import free_numbers
-from ..reduction.tree.free_bodies import freed_of
+from ..integrators.methods import (
+    DOP853_LEAST,
+    AdaptiveGauss,
+    EqualSteps,
+    ErrorControl,
+    Method,
+    Radau,
+)
+from ..kernels.kernel import Layout, Structure, layout_of
+from ..reduction.cyclic_joints import (
+    SymmetricBall,
+    always_symmetric,
+    axial_among,
+    cyclic_of,
+    rotors_among,
+    symmetric_balls_of,
+)
+from ..reduction.potential import acting_gravity, falling, pivot_weight
+from ..reduction.tree.free_bodies import NOTHING, Freed, free_numbers, freed_of
 from ..scene.initial_state import GivenStates
 from ..scene.scene import Scene
 from ..system.coordinates import Indices
-from ..system.system import System
-from ..system.system import nominal
-from .choose_method import LANES_GAIN
-from .choose_method import RADAU_GAIN
-from .choose_method import Choice
-from .choose_method import choose
-from .choose_method import radau_gain
+from ..system.system import System, nominal
+from .choose_method import LANES_GAIN, RADAU_GAIN, Choice, choose, radau_gain
 from .step_limits import step_limits
 
 _NONE = read_only(np.empty(0))

@@ -10,65 +10,46 @@ variables of the reduced state are copied, so not even round-off changes the spa
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import cast
+
 import numpy as np
 import pinocchio as pin
-from collections.abc import Iterable
-from collections.abc import Iterator
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import field
-from dataclasses import replace
-from functools import cached_property
-from functools import partial
-from typing import cast
 from numpy.typing import NDArray
-from ..common.arrays import Array
-from ..common.arrays import read_only
-from ..common.errors import InputError
-from ..common.errors import IntegrationError
+
+from ..common.arrays import Array, read_only
+from ..common.errors import InputError, IntegrationError
 from ..common.names import listed
 from ..common.parameter import Parameter
 from ..common.waiting import Progress
 from ..forces.switch_times import time_within
-from ..forces.tracking import ComputedTorque
-from ..forces.tracking import ComputedTorqueAtRest
-from ..reduction.pointwise_reduction import PointwiseReduction
-from ..reduction.pointwise_reduction import symmetric
+from ..forces.tracking import ComputedTorque, ComputedTorqueAtRest
+from ..reduction.pointwise_reduction import PointwiseReduction, symmetric
 from ..scene.input_formats import list_forces
 from ..scene.scene import Scene
-from ..scene.stop import BallBound
-from ..scene.stop import Bound
-from ..scene.stop import place
+from ..scene.stop import BallBound, Bound, place
 from ..system.coordinates import Indices
 from ..system.loops.kinematics import loop_jacobian
-from ..system.state_fields import ShapeState
-from ..system.state_fields import State
+from ..system.state_fields import ShapeState, State
 from ..system.system import System
 from .balances import driving_torques
-from .checkpoint import Checkpoint
-from .checkpoint import Part
+from .checkpoint import Checkpoint, Part
 from .compiled.compiled_flow import CompiledFlow
-from .events import RootSearch
-from .events import Watch
-from .events import cut_at
-from .impacts import Impact
-from .impacts import ImpactTable
-from .impacts import bernstein
-from .impacts import first_root
-from .impacts import impulses
-from .impacts import solve_complementarity
-from .impacts import table_of
-from .motion import Control
-from .motion import ControlAction
-from .motion import Motion
-from .motion import Solver
-from .plan import Plan
-from .plan import plan_of
-from .reduced_flow import Integrate
-from .reduced_flow import ModeFlow
-from .reduced_flow import ReducedFlow
-from .reduced_flow import Sample
-from .reduced_flow import Segment
+from .events import RootSearch, Watch, cut_at
+from .impacts import (
+    Impact,
+    ImpactTable,
+    bernstein,
+    first_root,
+    impulses,
+    solve_complementarity,
+    table_of,
+)
+from .motion import Control, ControlAction, Motion, Solver
+from .plan import Plan, plan_of
+from .reduced_flow import Integrate, ModeFlow, ReducedFlow, Sample, Segment
 
 _ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # of a position, relative
 _LEAST_GAP = 1e-18  # Smallest margin of a gap, for stops at zero [rad | m].

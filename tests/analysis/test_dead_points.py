@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
-import pytest
-import pinred
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
-from loop_robots import FOUR_BAR
-from loop_robots import crank_angles
-from loop_robots import five_bar
-from loop_robots import four_bar
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from loop_robots import FOUR_BAR, crank_angles, five_bar, four_bar
 from scipy.integrate import solve_ivp
+
+import pinred
 from pinred.analysis.connections import gaits_of_all_joints
-from pinred.analysis.connections.gaits_of_all_joints import AllJointsCode
-from pinred.analysis.connections.gaits_of_all_joints import along_joints
+from pinred.analysis.connections.gaits_of_all_joints import AllJointsCode, along_joints
 from pinred.analysis.connections.loop_connection import LoopConnectionCode
 from pinred.common.arrays import Array
-from pinred.common.errors import InputError
-from pinred.common.errors import IntegrationError
-from pinred.common.errors import SingularInertiaError
+from pinred.common.errors import InputError, IntegrationError, SingularInertiaError
 from pinred.system.coordinates import InitialState
 from pinred.system.loops.loop_assembly import loop_gaps
 from pinred.system.robot_file_contents import Contents

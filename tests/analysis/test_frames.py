@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import casadi as ca
 import numpy as np
 import pytest
-import pinred
-from functools import cache
 from assertions import close
 from link_poses import link_pose
 from strategies import make_case
-from textbook import DELTA
-from textbook import J2
-from textbook import M2
-from textbook import D
-from textbook import M
-from three_links import CENTRES
-from three_links import LENGTH
-from three_links import LINKS
+from textbook import DELTA, J2, M2, D, M
+from three_links import CENTRES, LENGTH, LINKS
+
+import pinred
 from pinred.analysis.phases.corrected_integral import norm_distance
 from pinred.common.arrays import Array
 from pinred.kernels.connection.connection_form import form_of

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pytest
-import pinred
 from functools import cache
 from typing import Any
+
+import numpy as np
+import pytest
 from gait_reference import Reference
-from three_links import CENTRES
-from three_links import LENGTH
-from three_links import LINKS
-from pinred.analysis.phases.lift import PathLift
-from pinred.analysis.phases.lift import path_lift
+from three_links import CENTRES, LENGTH, LINKS
+
+import pinred
+from pinred.analysis.phases.lift import PathLift, path_lift
 from pinred.planning.optimisation import gait_search
 
 GAP = 1e-6  # largest relative gap to the best of STARTS loops of the reference

@@ -3,46 +3,47 @@
 from __future__ import annotations
 
 import re
-import numpy as np
-import pytest
-import pinred
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
+
+import numpy as np
+import pytest
 from assertions import close
 from inverse_dynamics import joint_torques
 from lifts import by_pinocchio
 from scipy.optimize import nnls
-from three_links import CENTRES
-from three_links import LENGTH
-from three_links import LINKS
-from pinred.analysis.phases.lift import fourier_rows
-from pinred.analysis.phases.lift import path_lift
+from three_links import CENTRES, LENGTH, LINKS
+
+import pinred
+from pinred.analysis.phases.lift import fourier_rows, path_lift
 from pinred.common.arrays import Array
-from pinred.planning.optimisation import gait_search
-from pinred.planning.optimisation import nonlinear_program
-from pinred.planning.optimisation import optimise
-from pinred.planning.optimisation.gait_search import TargetMissed
-from pinred.planning.optimisation.gait_search import Task
-from pinred.planning.optimisation.gait_search import finish
-from pinred.planning.optimisation.gait_search import fourier_path_of
-from pinred.planning.optimisation.gait_search import loop_to_target
-from pinred.planning.optimisation.gait_search import problem_of
-from pinred.planning.optimisation.limits import LimitChecks
-from pinred.planning.optimisation.limits import LimitedLoop
-from pinred.planning.optimisation.limits import Limits
-from pinred.planning.optimisation.limits import Times
-from pinred.planning.optimisation.limits import first_checks
-from pinred.planning.optimisation.limits import limits_of
-from pinred.planning.optimisation.nonlinear_program import Minimum
-from pinred.planning.optimisation.nonlinear_program import Problem
-from pinred.planning.optimisation.nonlinear_program import kkt_residual
-from pinred.planning.optimisation.nonlinear_program import minimum
-from pinred.planning.optimisation.nonlinear_program import sharpened
-from pinred.planning.optimisation.objective import COSTS
-from pinred.planning.optimisation.objective import axis_aim
-from pinred.planning.optimisation.objective import target_aim
+from pinred.planning.optimisation import gait_search, nonlinear_program, optimise
+from pinred.planning.optimisation.gait_search import (
+    TargetMissed,
+    Task,
+    finish,
+    fourier_path_of,
+    loop_to_target,
+    problem_of,
+)
+from pinred.planning.optimisation.limits import (
+    LimitChecks,
+    LimitedLoop,
+    Limits,
+    Times,
+    first_checks,
+    limits_of,
+)
+from pinred.planning.optimisation.nonlinear_program import (
+    Minimum,
+    Problem,
+    kkt_residual,
+    minimum,
+    sharpened,
+)
+from pinred.planning.optimisation.objective import COSTS, axis_aim, target_aim
 
 FEW = 2300  # evaluations, of about 1600 with both safeguards and at least 2900 without one
 TURN = 0.033787199534  # rotation of three rods by half of the square |α| ≤ 1 [rad]

@@ -6,19 +6,17 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
+from ball_trees import ball_tree, random_body
+
 import pinred
-from ball_trees import ball_tree
-from ball_trees import random_body
-from pinred import InputError
-from pinred import ModelError
+from pinred import InputError, ModelError
 from pinred.common.arrays import Array
 from pinred.kernels.kernel import Structure
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.reduction.pointwise_reduction import mass_matrix
 from pinred.reduction.tree.identical_branches import Lanes
 from pinred.reduction.tree.momenta import momenta
-from pinred.system.robot_file_contents import Contents
-from pinred.system.robot_file_contents import Coupling
+from pinred.system.robot_file_contents import Contents, Coupling
 from pinred.system.system import System
 
 EPS = float(np.finfo(float).eps)

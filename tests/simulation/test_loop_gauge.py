@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-import pinred
-from typing import Any
 from loop_robots import four_bar
+
+import pinred
 from pinred.common.arrays import Array
 from pinred.integrators.integrate import integrate
 from pinred.integrators.methods import Method
-from pinred.kernels import build
-from pinred.kernels import pinocchio_terms
+from pinred.kernels import build, pinocchio_terms
 from pinred.reduction.pointwise_reduction import mass_matrix
 from pinred.reduction.tree import loop_constraints
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
-from pinred.system.loops.kinematics import loop_jacobian
-from pinred.system.loops.kinematics import loop_values
+from pinred.system.loops.kinematics import loop_jacobian, loop_values
 
 # Centrifugal forces load the loop steadily as the crank turns.
 START: dict[str, Any] = {

@@ -15,58 +15,42 @@ Shapes at which a connection is not defined are rejected.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import TypeAlias
+
 import casadi as ca
 import numpy as np
-from collections.abc import Callable
-from collections.abc import Mapping
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import field
-from dataclasses import replace
-from functools import cached_property
-from functools import partial
-from typing import TypeAlias
 from numpy.typing import ArrayLike
-from ...common.argument_kinds import call_function
-from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
-from ...common.arrays import central_differences
-from ...common.arrays import read_only
-from ...common.arrays import vector
-from ...common.arrays import vectors
-from ...common.errors import InputError
-from ...common.errors import SingularInertiaError
-from ...common.errors import SymmetryError
-from ...common.html import Rows
-from ...common.html import Summary
+
+from ...common.argument_kinds import call_function, checks_arguments
+from ...common.arrays import Array, central_differences, read_only, vector, vectors
+from ...common.errors import InputError, SingularInertiaError, SymmetryError
+from ...common.html import Rows, Summary
 from ...common.memo import once
-from ...kernels.connection.connection_code import ConnectionCode
-from ...kernels.connection.connection_code import Curvatures
-from ...kernels.connection.connection_form import ConnectionForm
-from ...kernels.connection.connection_form import form_of
+from ...kernels.connection.connection_code import ConnectionCode, Curvatures
+from ...kernels.connection.connection_form import ConnectionForm, form_of
 from ...lie.group import Group
 from ...reduction.potential import broken_by_gravity
-from ...reduction.tree.momenta import in_space
-from ...reduction.tree.momenta import root_twist
+from ...reduction.tree.momenta import in_space, root_twist
 from ...system.coordinates import ShapeSpace
-from ...system.system import System
-from ...system.system import checked_system
-from .connection_physics import Ellipse
-from .connection_physics import Ellipsoid
-from .connection_physics import Rod
-from .connection_physics import Rolling
-from .connection_physics import Wheel
-from .connection_physics import fluid_form
-from .connection_physics import kinematic_form
-from .connection_physics import link_jacobian
-from .connection_physics import link_named
-from .connection_physics import mechanical_code
-from .connection_physics import viscous_form
-from .loop_connection import LoopConnectionCode
-from .loop_connection import code_with_loops
-from .loop_connection import refuse_moved_loops
-from .rotation_chart import RotationChart
-from .rotation_chart import chart_about
+from ...system.system import System, checked_system
+from .connection_physics import (
+    Ellipse,
+    Ellipsoid,
+    Rod,
+    Rolling,
+    Wheel,
+    fluid_form,
+    kinematic_form,
+    link_jacobian,
+    link_named,
+    mechanical_code,
+    viscous_form,
+)
+from .loop_connection import LoopConnectionCode, code_with_loops, refuse_moved_loops
+from .rotation_chart import RotationChart, chart_about
 
 # Least health of P_b, by whether the form is symmetric.
 _LEAST_HEALTH = {True: 16.0 * np.finfo(float).eps, False: 1e-9}

@@ -16,36 +16,27 @@ and interpolated across each dead point, where the independent joints do not det
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
+
 import casadi as ca
 import numpy as np
-from dataclasses import dataclass
-from dataclasses import field
-from dataclasses import replace
 from numpy.typing import NDArray
-from ...common.arrays import Array
-from ...common.arrays import rows
-from ...common.errors import InputError
-from ...common.errors import SingularInertiaError
+
+from ...common.arrays import Array, rows
+from ...common.errors import InputError, SingularInertiaError
 from ...common.memo import once
 from ...common.names import quoted
-from ...kernels.connection.connection_code import ConnectionCode
-from ...kernels.connection.connection_code import Locals
-from ...kernels.connection.connection_code import Velocities
+from ...kernels.connection.connection_code import ConnectionCode, Locals, Velocities
 from ...lie.rotations import TAU
 from ...reduction.tree.body_frames import bodies_of
-from ...reduction.tree.loop_constraints import constraint_values
-from ...reduction.tree.loop_constraints import jacobian_function
+from ...reduction.tree.loop_constraints import constraint_values, jacobian_function
 from ...simulation.closed_loops import refuse_singular_shapes
 from ...system.loops.independent_joints import LoopChart
-from ...system.loops.loop_assembly import describe_gap
-from ...system.loops.loop_assembly import loop_gaps
-from ...system.loops.loop_assembly import rate_units
+from ...system.loops.loop_assembly import describe_gap, loop_gaps, rate_units
 from ...system.system import System
 from ..phases.gait import Gait
 from .connection import Connection
-from .loop_connection import ClosedPath
-from .loop_connection import LoopConnectionCode
-from ...system.loops.loop_chart import LoopChart
+from .loop_connection import ClosedPath, LoopConnectionCode
 
 _OPEN = 1e-2  # largest gap of a loop along a path, relative to its size
 _ITERATIONS = 20  # largest number of Newton steps

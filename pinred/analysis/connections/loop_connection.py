@@ -12,45 +12,26 @@ system/loops/independent_joints.py).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
 import casadi as ca
 import numpy as np
-from collections.abc import Callable
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import field
-from dataclasses import replace
 from numpy.typing import ArrayLike
+
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
-from ...common.arrays import FrozenArrays
-from ...common.arrays import rows
-from ...common.arrays import vector
-from ...common.errors import InputError
-from ...common.errors import SingularInertiaError
-from ...common.errors import UnsupportedOperationError
-from ...common.memo import once
-from ...common.memo import recent
+from ...common.arrays import Array, FrozenArrays, rows, vector
+from ...common.errors import InputError, SingularInertiaError, UnsupportedOperationError
+from ...common.memo import once, recent
 from ...common.names import quoted
-from ...kernels.connection.connection_code import ConnectionCode
-from ...kernels.connection.connection_code import Curvatures
-from ...kernels.connection.connection_code import Locals
-from ...kernels.connection.connection_code import Velocities
-from ...reduction.pointwise_reduction import InertiaSplit
-from ...reduction.pointwise_reduction import PointwiseReduction
-from ...reduction.pointwise_reduction import ReducedShape
+from ...kernels.connection.connection_code import ConnectionCode, Curvatures, Locals, Velocities
+from ...reduction.pointwise_reduction import InertiaSplit, PointwiseReduction, ReducedShape
 from ...reduction.potential import Springs
 from ...reduction.tree.body_frames import bodies_of
-from ...reduction.tree.loop_constraints import constraint_values
-from ...reduction.tree.loop_constraints import jacobian_function
-from ...reduction.tree.loop_constraints import rate_map
-from ...system.loops.independent_joints import LoopChart
-from ...system.loops.independent_joints import loop_chart
-from ...system.loops.loop_assembly import CLOSED
-from ...system.loops.loop_assembly import describe_gap
-from ...system.loops.loop_assembly import loop_gaps
-from ...system.loops.loop_assembly import rate_units
-from ...system.system import System
-from ...system.system import checked_system
+from ...reduction.tree.loop_constraints import constraint_values, jacobian_function, rate_map
+from ...system.loops.independent_joints import LoopChart, loop_chart
+from ...system.loops.loop_assembly import CLOSED, describe_gap, loop_gaps, rate_units
+from ...system.system import System, checked_system
 
 _STEP = 0.1  # longest step along a line [rad | fraction of the loops' length]
 _CELL = 0.2  # distance between shapes from which lines start [rad | fraction of the length]

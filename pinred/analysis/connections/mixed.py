@@ -15,56 +15,46 @@ In its motions, the joints are driven by torques, or follow a gait.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
-from collections.abc import Callable
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import field
-from functools import cached_property
 from numpy.typing import ArrayLike
+
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
-from ...common.arrays import FrozenArrays
-from ...common.arrays import central_differences
-from ...common.arrays import positive
-from ...common.arrays import read_only
-from ...common.arrays import vector
-from ...common.arrays import vector_or_zero
-from ...common.errors import InputError
-from ...common.errors import IntegrationError
-from ...common.errors import SingularInertiaError
-from ...common.machine_code import NativeCode
-from ...common.machine_code import load_object
-from ...kernels.connection.connection_form import along_frame
-from ...kernels.connection.connection_form import coordinate_rates
-from ...kernels.connection.connection_form import form_of
-from ...kernels.connection.connection_form import health
-from ...kernels.connection.connection_form import solve_locked
-from ...kernels.connection.connection_validation import TrialShape
-from ...kernels.connection.connection_validation import trial_shapes
+from ...common.arrays import (
+    Array,
+    FrozenArrays,
+    central_differences,
+    positive,
+    read_only,
+    vector,
+    vector_or_zero,
+)
+from ...common.errors import InputError, IntegrationError, SingularInertiaError
+from ...common.machine_code import NativeCode, load_object
+from ...kernels.connection.connection_form import (
+    along_frame,
+    coordinate_rates,
+    form_of,
+    health,
+    solve_locked,
+)
+from ...kernels.connection.connection_validation import TrialShape, trial_shapes
 from ...kernels.evaluate import evaluate
 from ...kernels.machine.native import compile_object
-from ...kernels.reference_state import length_of
-from ...kernels.reference_state import steps_of
-from ...kernels.validation import TOLERANCE
-from ...kernels.validation import require_agreement
+from ...kernels.reference_state import length_of, steps_of
+from ...kernels.validation import TOLERANCE, require_agreement
 from ...reduction.pointwise_reduction import mass_matrix
-from ...reduction.tree.momenta import bracket
-from ...reduction.tree.momenta import momenta
+from ...reduction.tree.momenta import bracket, momenta
 from ...reduction.tree.scalars import solve_spd
-from ...system.system import System
-from ...system.system import checked_system
+from ...system.system import System, checked_system
 from ..phases.gait import Gait
-from .connection import Connection
-from .connection import refuse_singular
-from .connection_physics import Rolling
-from .connection_physics import Slip
-from .connection_physics import Wheel
-from .connection_physics import slip_matrix
-from .connection_physics import slip_rows
-from .connection_physics import slips_of
+from .connection import Connection, refuse_singular
+from .connection_physics import Rolling, Slip, Wheel, slip_matrix, slip_rows, slips_of
 from .rotation_chart import RotationChart
 
 _NAME = "mixed"

@@ -18,42 +18,32 @@ Source: P.-A. Absil, R. Mahony, R. Sepulchre, "Optimization algorithms on matrix
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal, TypeAlias
+
 import casadi as ca
 import numpy as np
-from collections.abc import Mapping
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import replace
-from functools import cached_property
-from typing import Any
-from typing import Literal
-from typing import TypeAlias
 from numpy.typing import NDArray
-from ...common.arrays import Array
-from ...common.arrays import FrozenArrays
+
+from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...common.names import joint_index
 from ...forces.force import Force
-from ...forces.force_model import ForceModel
-from ...forces.force_model import touched_by
+from ...forces.force_model import ForceModel, touched_by
 from ...forces.signals import Signal
 from ...lie.rotations import rotation
 from ...reduction.cyclic_joints import cyclic_of
 from ...reduction.tree.body_frames import bodies_of
 from ...reduction.tree.loop_constraints import constraint_values
 from ...scene.scene import Scene
-from ...simulation.plan import Plan
-from ...simulation.plan import plan_of
-from ...system.coordinates import PlacedJoint
-from ...system.coordinates import ShapeSpace
-from ...system.coordinates import shape_space
+from ...simulation.plan import Plan, plan_of
+from ...system.coordinates import PlacedJoint, ShapeSpace, shape_space
 from ...system.joints import axes_of
 from ...system.loops.kinematics import loop_kinematics
-from ...system.loops.loop_assembly import CLOSED
-from ...system.loops.loop_assembly import loop_gaps
-from ...system.loops.loop_assembly import rate_units
+from ...system.loops.loop_assembly import CLOSED, loop_gaps, rate_units
 from ...system.system import System
-from ...system.loops.looped_system import loop_kinematics
 
 Kind: TypeAlias = Literal["axis", "free", "heavy"]
 _STEADY = 1e-12  # relative change below which the rate of a prescribed joint is constant

@@ -6,17 +6,14 @@ Census: the count of equilibria that a search found, and evidence of missing equ
 from __future__ import annotations
 
 import math
-import numpy as np
-from collections.abc import Iterator
-from collections.abc import Mapping
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import field
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import overload
+
+import numpy as np
+
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
-from ...common.arrays import FrozenArrays
+from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...lie.rotations import quaternion_exp
 from ...reduction.pointwise_reduction import mass_matrix
@@ -24,10 +21,9 @@ from ...scene.scene import Scene
 from ...system.loops.kinematics import loop_jacobian
 from ...system.loops.loop_assembly import assemble
 from ...system.system import System
-from ..stability.stability_verdict import Mode
-from ..stability.stability_verdict import Stability
-from ..stability.stability_verdict import Verdict
+from ..stability.stability_verdict import Mode, Stability, Verdict
 from .equilibrium_problem import Problem
+
 
 @checks_arguments
 @dataclass(frozen=True)

@@ -31,26 +31,21 @@ the locked inertia.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations, product
+
 import casadi as ca
 import numpy as np
-from collections.abc import Callable
-from dataclasses import dataclass
-from dataclasses import replace
-from functools import cached_property
-from itertools import combinations
-from itertools import product
 from numpy.typing import NDArray
+
 from ...common.arrays import Array
 from ...lie.rotations import unit
 from ...reduction.base_parts import root_of
-from ...reduction.tree.second_derivatives import InertiaDerivatives
-from ...reduction.tree.second_derivatives import inertia_derivatives
+from ...reduction.tree.second_derivatives import InertiaDerivatives, inertia_derivatives
 from ...system.coordinates import ShapeSpace
-from .equilibrium_problem import Points
-from .equilibrium_problem import Problem
-from .equilibrium_problem import Which
-from .equilibrium_problem import displaced_shape
-from .equilibrium_problem import tangents
+from .equilibrium_problem import Points, Problem, Which, displaced_shape, tangents
 
 _SINGULAR = 1e13  # condition number above which a mass matrix counts as singular
 

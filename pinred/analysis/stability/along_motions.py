@@ -7,34 +7,32 @@ impact changes the momentum. So both are added to the leaf.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
-from dataclasses import dataclass
-from dataclasses import replace
 from numpy.typing import NDArray
+
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
-from ...common.arrays import FrozenArrays
-from ...common.arrays import positive
+from ...common.arrays import Array, FrozenArrays, positive
 from ...common.errors import InputError
 from ...common.names import listed
-from ...common.waiting import Progress
-from ...common.waiting import Wait
-from ...common.waiting import shown
+from ...common.waiting import Progress, Wait, shown
 from ...forces.force_numbers import ForceInputs
-from ...simulation.compiled.compiled_flow import CompiledFlow
-from ...simulation.compiled.compiled_flow import has_no_momentum
+from ...simulation.compiled.compiled_flow import CompiledFlow, has_no_momentum
 from ...simulation.flow_map.flow_through_stops import StoppedPropagator
 from ...simulation.flow_map.inputs import Inputs
 from ...simulation.plan import plan_of
 from ...simulation.run_with_stops import StoppedMotion
 from ...simulation.trajectory import Trajectory
-from .linearised_flow import Linearisation
-from .linearised_flow import LinearisedFlow
-from .linearised_flow import leaf_of
-from .linearised_flow import linearised
-from .linearised_flow import linearised_flow
-from .linearised_flow import scene_at
-from .linearised_flow import without_base
+from .linearised_flow import (
+    Linearisation,
+    LinearisedFlow,
+    leaf_of,
+    linearised,
+    linearised_flow,
+    scene_at,
+    without_base,
+)
 
 _STEPS_PER_BASIS = 10  # number of steps between two orthonormalisations
 _MAX_CLOSURE = 1e-6  # largest relative difference between the two ends of a period

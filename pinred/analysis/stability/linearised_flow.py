@@ -21,29 +21,23 @@ and gauge to gauge, so it acts on closed perturbations that are orthogonal to th
 
 from __future__ import annotations
 
-import numpy as np
-from dataclasses import dataclass
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 from numpy.typing import NDArray
+
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
-from ...common.arrays import FrozenArrays
-from ...common.errors import InputError
-from ...common.errors import IntegrationError
+from ...common.arrays import Array, FrozenArrays
+from ...common.errors import InputError, IntegrationError
 from ...integrators.methods import DOP853
 from ...integrators.stepping.compiling import compiled
-from ...integrators.stepping.kernel_call import SEEDS
-from ...integrators.stepping.kernel_call import call
-from ...integrators.stepping.kernel_call import call_tangent
-from ...kernels.derived_code import jacobian_of
-from ...kernels.derived_code import tangent_of
+from ...integrators.stepping.kernel_call import SEEDS, call, call_tangent
+from ...kernels.derived_code import jacobian_of, tangent_of
 from ...kernels.evaluate import evaluate
-from ...kernels.kernel import Kernel
-from ...kernels.kernel import Layout
+from ...kernels.kernel import Kernel, Layout
 from ...reduction.base_parts import BaseParts
-from ...reduction.pointwise_reduction import mass_matrix
-from ...reduction.pointwise_reduction import usual_inertias
+from ...reduction.pointwise_reduction import mass_matrix, usual_inertias
 from ...reduction.tree.loop_constraints import GAUGE_RATE
 from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow
@@ -51,13 +45,9 @@ from ...simulation.plan import plan_of
 from ...simulation.reduced_flow import Sample
 from ...simulation.trajectory import Trajectory
 from ...system.joints import BALL
-from ...system.loops.kinematics import loop_jacobian
-from ...system.loops.kinematics import loop_jacobian_rate
+from ...system.loops.kinematics import loop_jacobian, loop_jacobian_rate
 from ...system.state_fields import State
 from ...system.system import System
-from ...kernels.state_layout import Layout
-from ...system.loops.looped_system import loop_jacobian
-from ...system.loops.looped_system import loop_jacobian_rate
 
 _ROUND_OFF = 10.0  # error of the Jacobian, in units of machine epsilon times its norm
 

@@ -22,31 +22,23 @@ geometric treatment", Nonlinearity 5, 1992.
 
 from __future__ import annotations
 
-import numpy as np
-from collections.abc import Callable
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
-from typing import TypeAlias
+from typing import Literal, TypeAlias
+
+import numpy as np
 from numpy.typing import NDArray
-from ...common.arrays import Array
-from ...common.arrays import FrozenArrays
+
+from ...common.arrays import Array, FrozenArrays
 from ...kernels.kernel import Layout
 from ...lie.rotations import hat
 from ...reduction.pointwise_reduction import mass_matrix
 from ...reduction.tree.second_derivatives import inertia_derivatives
 from ...system.coordinates import ShapeSpace
 from ...system.joints import BALL
-from ..equilibria.equilibrium_problem import Points
-from ..equilibria.equilibrium_problem import Problem
-from ..equilibria.equilibrium_problem import tangents
-from ..equilibria.search import AmendedEnergy
-from ..equilibria.search import critical_points
-from ..equilibria.search import residuals
-from .linearised_flow import Linearisation
-from .linearised_flow import eigen
-from .linearised_flow import eigenvalue_errors
-from .linearised_flow import norm
+from ..equilibria.equilibrium_problem import Points, Problem, tangents
+from ..equilibria.search import AmendedEnergy, critical_points, residuals
+from .linearised_flow import Linearisation, eigen, eigenvalue_errors, norm
 
 Verdict: TypeAlias = Literal["stable", "unstable", "undecided"]
 _SIGNIFICANT = 10.0  # growth rates above this multiple of their error count as unstable

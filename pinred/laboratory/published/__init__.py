@@ -26,7 +26,7 @@ from ...simulation.contact.capture import capture as capture
 from ...simulation.simulate import simulate as simulate
 from ...system.load import load as load
 from ...system.robot_description import Model as Model
+
 from . import dynamics as dynamics  # isort: skip
 from . import locomotion as locomotion  # isort: skip
 from ...simulation.contact.capture import land as land
-

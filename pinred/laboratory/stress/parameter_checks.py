@@ -6,13 +6,15 @@ closed form, both in units of the tolerance.
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.linalg import eigh
+
 from ...common.arrays import Array
 from ...judge.reference_solution import FullMotion
 from ...judge.step_defects import largest_defect
@@ -22,19 +24,9 @@ from ...simulation.trajectory import Trajectory
 from ...system.load import load
 from ...system.state_fields import State
 from ...system.system import System
-from ..bench.problems import build_tree
-from ..bench.problems import chain
-from .check import DEFECT
-from .check import EPS
-from .check import PER_RADIAN
-from .check import Case
-from .check import Cases
-from .check import Trial
-from .check import check
-from .check import dop853
-from .check import tolerance
-from .motion_checks import aba_reference
-from .motion_checks import euler_top
+from ..bench.problems import build_tree, chain
+from .check import DEFECT, EPS, PER_RADIAN, Case, Cases, Trial, check, dop853, tolerance
+from .motion_checks import aba_reference, euler_top
 
 _RTOL = 1e-10
 _MOMENTS = np.array([1.0, 2.0, 2.5])  # of the tops [kg·m²]

@@ -8,29 +8,29 @@ between nodes are tightened in the same rounds.
 
 from __future__ import annotations
 
-import numpy as np
 from collections.abc import Mapping
-from dataclasses import dataclass
-from dataclasses import field
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+
+import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
+
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
-from ...common.arrays import FrozenArrays
-from ...common.errors import InputError
-from ...common.errors import NoOptimum
+from ...common.arrays import Array, FrozenArrays
+from ...common.errors import InputError, NoOptimum
 from ...forces.signals.signal import Spline
 from ...judge.compare import compare
 from ...judge.verdict import Report
-from ...lie.rotations import conjugate
-from ...lie.rotations import quaternion_exp
-from ...lie.rotations import quaternion_log
-from ...lie.rotations import quaternion_product
-from ...lie.rotations import rotation
-from ...lie.rotations import unit
+from ...lie.rotations import (
+    conjugate,
+    quaternion_exp,
+    quaternion_log,
+    quaternion_product,
+    rotation,
+    unit,
+)
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
@@ -38,11 +38,7 @@ from ...system.passive import joint_limits
 from ...system.system import System
 from ..optimisation.limits import Limits
 from ..optimisation.objective import TargetAim
-from .flight_program import Bounded
-from .flight_program import FlightProgram
-from .flight_program import Problem
-from .flight_program import Solution
-from ...forces.signals.tabulated import Spline
+from .flight_program import Bounded, FlightProgram, Problem, Solution
 
 TOLERANCES = (1e-11, 1e-13)  # relative and absolute tolerance of a plan's simulation
 

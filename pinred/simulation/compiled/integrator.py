@@ -7,51 +7,42 @@ pause of a long run after another, integrated again from its start.
 
 from __future__ import annotations
 
-import numpy as np
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cached_property
-from functools import partial
-from typing import Any
-from typing import NamedTuple
+from functools import cached_property, partial
+from typing import Any, NamedTuple
 from weakref import ref
-from ...common.arrays import Array
-from ...common.arrays import read_only
-from ...common.errors import IntegrationError
-from ...common.errors import NoConvergence
-from ...common.errors import NonFiniteState
-from ...common.errors import StepSizeUnderflow
-from ...common.errors import TooManySteps
+
+import numpy as np
+
+from ...common.arrays import Array, read_only
+from ...common.errors import (
+    IntegrationError,
+    NoConvergence,
+    NonFiniteState,
+    StepSizeUnderflow,
+    TooManySteps,
+)
 from ...common.memo import once
 from ...common.names import quoted
 from ...common.waiting import Progress
 from ...forces.switch_times import time_within
-from ...integrators.integrate import Integration
-from ...integrators.integrate import Parts
-from ...integrators.integrate import integrate_parts
-from ...integrators.methods import EqualSteps
-from ...integrators.methods import ErrorControl
-from ...integrators.methods import Method
+from ...integrators.integrate import Integration, Parts, integrate_parts
+from ...integrators.methods import EqualSteps, ErrorControl, Method
 from ...integrators.methods.method import registers_of
-from ...integrators.solution import RunKeeper
-from ...integrators.solution import Solution
-from ...integrators.thinned_run import MOST_COPIES
-from ...integrators.thinned_run import ThinnedIntegration
-from ...integrators.thinned_run import ThinnedSolution
+from ...integrators.solution import RunKeeper, Solution
+from ...integrators.thinned_run import MOST_COPIES, ThinnedIntegration, ThinnedSolution
 from ...kernels.derived_code import tangent_of
 from ...kernels.kernel import Kernel
 from ...reduction.canonical_form import lost_inertia
 from ...scene.scene import Scene
 from ..checkpoint import RunRecord
 from ..closed_loops import near_singular_loops
-from ..motion import Motion
-from ..motion import Segments
-from ..motion import Solver
-from ..motion import follow
+from ..motion import Motion, Segments, Solver, follow
 from ..plan import Plan
-from ..reduced_flow import Integrate
-from ..reduced_flow import Segment
+from ..reduced_flow import Integrate, Segment
 from .compiled_flow import CompiledFlow
+
 
 class _Shared(NamedTuple):
     """The integration of a structure with a kernel, which it does not keep alive."""

@@ -23,45 +23,38 @@ keep the contact: rotations about a point, and nothing for a flat foot.
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
-from typing import Literal
-from typing import TypeAlias
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
-from ...common.arrays import entries_of
-from ...common.arrays import positive
+from ...common.arrays import Array, entries_of, positive
 from ...common.errors import InputError
-from ...common.names import brief
-from ...common.names import listed
-from ...common.names import one_of
-from ...common.names import quoted
+from ...common.names import brief, listed, one_of, quoted
 from ...reduction.pointwise_reduction import mass_matrix_at
 from ...reduction.tree.all_joints import up_of
-from ...scene.scene import Scene
-from ...scene.scene import scene_of
-from ...system.assembly import renamed
-from ...system.assembly import reversed_balls
-from ...system.assembly import take_apart
-from ...system.derived_systems import Instant
-from ...system.derived_systems import Moving
-from ...system.derived_systems import Pivot
-from ...system.derived_systems import Place
-from ...system.derived_systems import carry_state
-from ...system.derived_systems import cut
-from ...system.derived_systems import free_prefix
-from ...system.derived_systems import join
-from ...system.derived_systems import place_of
-from ...system.derived_systems import placements
-from ...system.derived_systems import same_motions
-from ...system.derived_systems import stand
+from ...scene.scene import Scene, scene_of
+from ...system.assembly import renamed, reversed_balls, take_apart
+from ...system.derived_systems import (
+    Instant,
+    Moving,
+    Pivot,
+    Place,
+    carry_state,
+    cut,
+    free_prefix,
+    join,
+    place_of,
+    placements,
+    same_motions,
+    stand,
+)
 from ...system.joints import axes_of
 from ...system.loops.kinematics import loop_jacobian
-from ...system.system import System
-from ...system.system import checked_system
+from ...system.system import System, checked_system
 from ..over_time import OverTime
 from ..trajectory import Trajectory
 

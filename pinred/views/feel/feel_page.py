@@ -10,64 +10,47 @@ u = w.  Twists and momenta are those of Pinocchio's root joint in space, (6,) [l
 
 from __future__ import annotations
 
-import casadi as ca
-import numpy as np
-import pinocchio as pin
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from dataclasses import field
+from dataclasses import dataclass, field
 from importlib.resources import files
-from itertools import pairwise
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from string import ascii_letters
 from typing import Any
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
+
 from ...analysis.connections.connection import Connection
 from ...analysis.connections.loop_connection import LoopConnectionCode
-from ...common.arrays import Array
-from ...common.arrays import FrozenArrays
-from ...common.errors import InputError
-from ...common.errors import PinredError
-from ...common.errors import UnsupportedOperationError
-from ...common.files import check_path
-from ...common.files import write_atomic
+from ...common.arrays import Array, FrozenArrays
+from ...common.errors import InputError, PinredError, UnsupportedOperationError
+from ...common.files import check_path, write_atomic
 from ...common.names import joint_index
 from ...common.waiting import Wait
-from ...kernels.connection.connection_form import momentum_velocity_graph
-from ...kernels.connection.connection_form import velocity_graph
-from ...reduction.tree.all_joints import Placement
-from ...reduction.tree.all_joints import all_joint_values
-from ...reduction.tree.all_joints import compose
-from ...reduction.tree.all_joints import fixed_placement
-from ...reduction.tree.all_joints import inverse
-from ...reduction.tree.all_joints import joint_frames
-from ...reduction.tree.all_joints import rotate
+from ...kernels.connection.connection_form import momentum_velocity_graph, velocity_graph
+from ...reduction.tree.all_joints import (
+    Placement,
+    all_joint_values,
+    compose,
+    fixed_placement,
+    inverse,
+    joint_frames,
+    rotate,
+)
 from ...reduction.tree.momenta import bracket
 from ...system.joints import axes_of
 from ...system.loops.independent_joints import LoopChart
-from ...system.loops.kinematics import JointLaw
-from ...system.loops.kinematics import loop_ends
-from ...system.loops.kinematics import loop_kinematics
-from ...system.loops.kinematics import rotation_axes
-from ...system.loops.loop import BallSurface
-from ...system.loops.loop import Constraint
-from ...system.loops.loop import JointPolynomial
+from ...system.loops.kinematics import JointLaw, loop_ends, loop_kinematics, rotation_axes
+from ...system.loops.loop import BallSurface, Constraint, JointPolynomial
 from ...system.loops.loop_assembly import rate_units
 from ...system.system import System
-from ..playback.drawn_bodies import Bodies
-from ..playback.drawn_bodies import drawn_bodies
-from ..playback.page import STAGE
-from ..playback.page import Blob
-from ..playback.page import assemble
-from ..playback.page import plain_fields
-from ..playback.page import resource
-from ..playback.page import robot_head
-from ..playback.playback import Momentum
-from ..playback.playback import Playback
-from ..playback.playback import conserved_momentum
-from ..playback.playback import motion_words
+from ..playback.drawn_bodies import Bodies, drawn_bodies
+from ..playback.page import STAGE, Blob, assemble, plain_fields, resource, robot_head
+from ..playback.playback import Momentum, Playback, conserved_momentum, motion_words
 from ..playback.scene_nodes import frame
 
 # {operation: JavaScript of its arguments}.  Comparisons are numbers, as in CasADi.

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
 from itertools import pairwise
 from typing import Any
+
+import numpy as np
 from matplotlib.figure import Figure
-from ...analysis.equilibria.branches import Branches
-from ...analysis.equilibria.branches import BranchPoint
+
+from ...analysis.equilibria.branches import Branches, BranchPoint
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ..motion_source import labels_of
-from .style import PALETTE
-from .style import figure
-from .style import legend
-from .style import styled
+from .style import PALETTE, figure, legend, styled
 
 GREY = "#555555"
 _SAME = 2e-3  # largest distance between lines that coincide, relative to the size of the figure

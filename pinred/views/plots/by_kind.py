@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from inspect import unwrap
-from typing import TYPE_CHECKING
-from typing import Any
-from typing import Literal
-from typing import overload
-from ...common.argument_kinds import checks_arguments
-from ...common.argument_kinds import shows_overloads
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+from ...common.argument_kinds import checks_arguments, shows_overloads
 from ...common.errors import InputError
 from .. import plots
 

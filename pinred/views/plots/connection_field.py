@@ -6,55 +6,41 @@ plane is drawn as a colour map with level sets.
 
 from __future__ import annotations
 
-import numpy as np
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
-from typing import Literal
-from typing import TypeAlias
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
-from matplotlib.patheffects import Stroke
-from matplotlib.patheffects import withStroke
+from matplotlib.patheffects import Stroke, withStroke
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 from scipy.interpolate import RectBivariateSpline
-from ...analysis.connections.connection import Connection
-from ...analysis.connections.connection import ConnectionSource
-from ...analysis.connections.connection import connection_of
-from ...analysis.connections.connection import rest_of
-from ...analysis.connections.connection import robot_of
+
+from ...analysis.connections.connection import (
+    Connection,
+    ConnectionSource,
+    connection_of,
+    rest_of,
+    robot_of,
+)
 from ...analysis.full_reduction import Reduction
 from ...analysis.phases.gait import Gait
 from ...analysis.phases.phase import phase
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
-from ...common.arrays import as_floats
-from ...common.arrays import vector
-from ...common.arrays import vectors
-from ...common.errors import InputError
-from ...common.errors import PinredError
+from ...common.arrays import Array, as_floats, vector, vectors
+from ...common.errors import InputError, PinredError
 from ...common.names import component_index
 from ...lie.group import Group
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.joints import is_prismatic
-from ...system.system import System
-from ...system.system import checked_system
-from ..motion_source import Labels
-from ..motion_source import MotionSource
-from ..motion_source import fine_path
-from ..motion_source import labels_of
-from ..motion_source import labels_of_connection
-from .style import BLACK
-from .style import FIELD
-from .style import GREEN
-from .style import SIGNED
-from .style import figure
-from .style import legend
-from .style import styled
+from ...system.system import System, checked_system
+from ..motion_source import Labels, MotionSource, fine_path, labels_of, labels_of_connection
+from .style import BLACK, FIELD, GREEN, SIGNED, figure, legend, styled
 
 Part = Literal["curvature", "exterior", "bracket", "connection"]
 _PARTS = ("curvature", "exterior", "bracket", "connection")

@@ -6,17 +6,18 @@ over time.
 
 from __future__ import annotations
 
-import numpy as np
 from typing import Any
+
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
 from ...analysis.connections.connection import Connection
 from ...analysis.phases.gait import Gait
 from ...analysis.phases.phase import Phase
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
-from ...common.errors import InputError
-from ...common.errors import SingularInertiaError
+from ...common.errors import InputError, SingularInertiaError
 from ...lie.group import Group
 from ...lie.rotations import unwrapped_rotation_vectors
 from ...planning.optimisation.gait_search import merit_name
@@ -24,23 +25,20 @@ from ...planning.optimisation.objective import AxisAim
 from ...planning.optimisation.optimise import BestGait
 from ...planning.reorientation.turning_loop import TurnPlan
 from ..motion_source import labels_of_connection
-from .connection_field import PATH
-from .connection_field import around
-from .connection_field import component_of
-from .connection_field import draw_field
-from .connection_field import draw_path
-from .connection_field import motion_word
-from .connection_field import moved_component
-from .connection_field import plane
-from .connection_field import robot_name
-from .connection_field import title_at
-from .connection_field import unit_of_curvature
-from .style import BLACK
-from .style import RED
-from .style import figure
-from .style import legend
-from .style import line
-from .style import styled
+from .connection_field import (
+    PATH,
+    around,
+    component_of,
+    draw_field,
+    draw_path,
+    motion_word,
+    moved_component,
+    plane,
+    robot_name,
+    title_at,
+    unit_of_curvature,
+)
+from .style import BLACK, RED, figure, legend, line, styled
 
 _MOST = 1000
 
