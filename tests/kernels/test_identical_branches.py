@@ -364,6 +364,6 @@ def test_divided_kernel_with_lanes_agrees_with_pinocchio(
     divided = build_kernel(system, structure, cache=ObjectCache(tmp_path))
     at = random_state(divided, np.random.default_rng(0), 1.0)
     assert at is not None
-    rates = [kernel.evaluate_rate(at.y, at.parameters) for kernel in (divided, expected)]
-    assert not np.array_equal(*rates)
-    np.testing.assert_allclose(*rates, rtol=0.0, atol=1e-13 * np.abs(rates[0]).max())
+    found, rate = (kernel.evaluate_rate(at.y, at.parameters) for kernel in (divided, expected))
+    assert not np.array_equal(found, rate)
+    np.testing.assert_allclose(found, rate, rtol=0.0, atol=1e-13 * np.abs(rate).max())

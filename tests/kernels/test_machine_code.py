@@ -415,7 +415,7 @@ def test_divided_code_computes_the_same(
     monkeypatch.setattr(native, "PART", part)
     text = native.lowered(lambda: compile_object(function, "f", wide=wide))
     assert text.count("define internal void @f.") == text.count("call void @f.") > 1
-    points = np.array([0.3, -1.2, 0.7, 2.0])[:, None] + np.arange(wide)
+    points = np.array([0.3, -1.2, 0.7, 2.0])[:, None] + np.arange(float(wide))
     call = callable_of(load_object(compile_object(function, "f", wide=wide), "f"), 1, 6 * wide)
     found = call(points.ravel()).reshape(6, wide)
     for lane in range(wide):

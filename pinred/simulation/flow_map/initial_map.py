@@ -8,8 +8,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError
 from ...forces.force_numbers import Tables
 from ...kernels.derived_code import expect_code
-from ...kernels.differentiable import call_value
-from ...kernels.evaluate import evaluate
+from ...kernels.evaluate import call_value, evaluate
 from ...kernels.flow_functions import initial_conditions_of
 from ...kernels.initial_conditions import TwistOrMomentum
 from ...kernels.kernel import Kernel
