@@ -22,8 +22,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError, MissingPackageError
 from ...common.installation import optional_package
 from ...common.memo import once_for_all
-from ...integrators.stepping import numba_core
-from ...integrators.stepping.compiling import compiled, make_intrinsic
+from ...integrators.stepping.compiling import compiled, make_intrinsic, numba_core
 from .flow_columns import FIRST_ORDER, Batched, Columns
 
 _OLDEST = (0, 10, 0)  # Oldest version of JAX with the call frames that are read here.
