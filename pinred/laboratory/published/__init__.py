@@ -23,10 +23,10 @@ from ...scene.event import Event as Event
 from ...scene.scene import Scene as Scene
 from ...scene.stop import Stop as Stop
 from ...simulation.contact.capture import capture as capture
+from ...simulation.contact.capture import land as land
 from ...simulation.simulate import simulate as simulate
 from ...system.load import load as load
 from ...system.robot_description import Model as Model
 
 from . import dynamics as dynamics  # isort: skip
 from . import locomotion as locomotion  # isort: skip
-from ...simulation.contact.capture import land as land
