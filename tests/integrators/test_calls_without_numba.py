@@ -19,16 +19,16 @@ sys.modules["numba"] = None  # importing it raises an error
 import numpy as np
 import pinred
 from pinred.integrators.methods import METHODS
-from pinred.integrators.stepping import compiled_function
+from pinred.integrators.stepping import compiling
 from pinred.integrators.stepping.shipped_code import is_shipped
 
-load_code = compiled_function.load_code
+load_code = compiling.load_code
 
 def load_shipped(function, name, types):
     assert is_shipped(name), f"no code is shipped of {name}"  # a cache may have code of numba
     return load_code(function, name, types)
 
-compiled_function.load_code = load_shipped
+compiling.load_code = load_shipped
 cat, body = pinred.load("falling_cat"), pinred.load("rigid_body")
 times, between = [0.0, 0.05, 0.1], np.array([0.03, 0.07])
 for name in sys.argv[1:]:

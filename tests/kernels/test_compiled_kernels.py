@@ -160,7 +160,7 @@ def test_build_kernel_reuses_cached_code(tmp_path: Path, monkeypatch: pytest.Mon
     structure = Structure(zero_momentum=False)
     first = build_kernel(system, structure, cache=cache)
 
-    def forbidden(*_: object) -> bytes:
+    def forbidden(*_: object, **__: object) -> bytes:
         raise AssertionError("compiled again")
 
     monkeypatch.setattr("pinred.kernels.build.compile_object", forbidden)
