@@ -17,8 +17,8 @@ from ...common.machine_code import code_level, cpu_target, create_machine, emit_
 from ...reduction.tree.identical_branches import Mark
 from .lowering import RESERVED, lower
 
-# Code of more instructions is divided into functions of PART lines of IR.  Kernels of most robots,
-# and of chains of 30 joints, have fewer.
+# Code of more instructions, times lanes, is divided into functions of PART lines of IR.  Kernels of
+# most robots have fewer; talos with a member in each of eight lanes would be 1.3 times slower.
 LONG, PART = 8000, 1000
 
 
@@ -53,7 +53,7 @@ def compile_object(
         _LoweredError: Only `lowered` needs the LLVM code.
     """
     _check(function, name, outputs=1 if marks is None else 2)
-    is_long = function.n_instructions() > LONG
+    is_long = function.n_instructions() > LONG * wide
     text = lower(
         function, name, marks, fma=cpu_target().fma, wide=wide, wide_inputs=wide_inputs,
         part=PART if is_long and not rare else 0,
