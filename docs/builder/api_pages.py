@@ -9,12 +9,11 @@ from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
+sys.path.append(str(Path(__file__).parents[2] / "tests/helpers"))
+
 import site_pages
 from api_index import NAMESPACES, public_names
 from docstring_markdown import code, escape, parse, table
-
-sys.path.append(str(Path(__file__).parents[2] / "tests/helpers"))
-
 
 ROOT = Path(__file__).parents[2]
 _SHORT = (("numpy.typing.", ""), ("collections.abc.", ""), ("typing.", ""))
