@@ -401,6 +401,19 @@ def test_wide_code_equals_casadi_in_each_lane(name: str, wide: int) -> None:
     assert np.array_equal(again[:, others], found[:, others], equal_nan=True)
 
 
+@pytest.mark.parametrize(("wide", "is_divided"), [(1, True), (4, False)])
+def test_code_is_divided_by_its_length_for_each_lane(
+    wide: int, *, is_divided: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Code that is long for one lane stays one function in four, which evaluates faster."""
+    x = ca.SX.sym("x", 3)
+    function = ca.Function("f", [x], [ca.sin(x) * ca.cos(x)])
+    monkeypatch.setattr(native, "LONG", function.n_instructions() // 2)
+    monkeypatch.setattr(native, "PART", 1)
+    text = native.lowered(lambda: compile_object(function, "f", wide=wide))
+    assert ("define internal void @f." in text) == is_divided
+
+
 @pytest.mark.parametrize("wide", [1, 4])
 @pytest.mark.parametrize("part", [1, 7])
 def test_divided_code_computes_the_same(

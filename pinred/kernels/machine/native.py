@@ -17,8 +17,9 @@ from ...common.machine_code import code_level, cpu_target, create_machine, emit_
 from ...reduction.tree.identical_branches import Mark
 from .lowering import RESERVED, lower
 
-# Code of more instructions, times lanes, is divided into functions of PART lines of IR.  Kernels of
-# most robots have fewer; talos with a member in each of eight lanes would be 1.3 times slower.
+# Code of more than LONG instructions for each lane is divided into functions of PART lines of IR.
+# Kernels of most robots have fewer.  talos with a member in each of eight lanes is above LONG, but
+# below it for each lane; divided, it evaluates 1.3 times slower.
 LONG, PART = 8000, 1000
 
 
