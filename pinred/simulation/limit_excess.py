@@ -196,9 +196,9 @@ def _bounds_of(system: System) -> _Bounds:
 def _columns_beyond(bounds: _Bounds, states: ShapeState | State) -> bytes:
     """Return which entries of x and ẋ exceed their bounds, a byte 0 or 1 for each."""
     (low, high), (slow, fast) = bounds.x, bounds.xdot
-    x = ((states.x < low) | (states.x > high)).any(axis=0)
-    xdot = ((states.xdot < slow) | (states.xdot > fast)).any(axis=0)
-    return bytes(x.tobytes() + xdot.tobytes())
+    x: Array = ((states.x < low) | (states.x > high)).any(axis=0)
+    xdot: Array = ((states.xdot < slow) | (states.xdot > fast)).any(axis=0)
+    return x.tobytes() + xdot.tobytes()
 
 
 def _uses(

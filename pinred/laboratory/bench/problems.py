@@ -30,8 +30,6 @@ from ...system.robot_files import INSTALL_ROBOTS, bundled_robots, has_example_ro
 from ...system.state_fields import State, with_base
 from ...system.system import System
 
-# FIXME renamed import of itself: End as End
-
 FAMILIES = ("planar", "spatial")
 _LENGTH, _WIDTH, _MASS = 0.2, 0.05, 1.0  # length [m], width [m] and mass [kg] of a link
 

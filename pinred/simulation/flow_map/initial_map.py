@@ -99,7 +99,7 @@ class InitialMap:
         path = np.concatenate([start, falls])
         parameters = np.concatenate([head, self._with_path(known, path)])
         y = y if len(y) else np.zeros((1, *shape))
-        return tuple(np.moveaxis(a, 0, 1) for a in (y, parameters, path))  # type: ignore[return-value]
+        return np.moveaxis(y, 0, 1), np.moveaxis(parameters, 0, 1), np.moveaxis(path, 0, 1)
 
     def expect_along(self) -> None:
         """Let other threads generate the machine code of `along`."""
