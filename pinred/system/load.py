@@ -28,8 +28,7 @@ from ..common.files import is_file
 from ..common.names import brief, listed, quoted
 from ..common.waiting import Wait
 from ..lie.group import Group
-from ..lie.groups import GROUPS, group_named
-from ..lie.spatial_groups import SE3
+from ..lie.groups import GROUPS, SE3, group_named
 from .body_parameters import link_inertias
 from .coordinates import InitialState
 from .coupling import ties_of, with_followers

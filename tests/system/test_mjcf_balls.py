@@ -15,7 +15,7 @@ from pinred.common.arrays import Array
 from pinred.common.errors import InputError, ModelError
 from pinred.forces.force_model import ForceModel
 from pinred.forces.force_numbers import ForceInputs
-from pinred.lie.spatial_groups import SE3
+from pinred.lie.groups import SE3
 from pinred.system.merge_hinges import LIMITS
 from pinred.system.mjcf.read import MujocoRobot, read_mujoco
 from pinred.system.passive import MERGED, BallSpring, Damper, Friction, Spring

@@ -46,8 +46,8 @@ import pinocchio as pin
 from scipy.linalg import block_diag
 
 from ...common.arrays import Array, FrozenArrays
+from ...lie.groups import SE3
 from ...lie.rotations import hat, rotation
-from ...lie.spatial_groups import SE3
 from ...system.coordinates import ShapeSpace, tree_space
 from ...system.joints import axes_of, is_prismatic
 from ...system.system import System

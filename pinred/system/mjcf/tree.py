@@ -24,8 +24,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError, ModelError
 from ...common.names import listed, quoted
 from ...lie.group import Group
-from ...lie.planar_groups import SE2
-from ...lie.r_se2 import RxSE2
+from ...lie.groups import SE2, RxSE2
 from ..joints import root_joint
 from ..passive import limits_of_angle
 from ..rebuild import Carrier, ModelBuilder
