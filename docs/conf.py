@@ -9,7 +9,7 @@ from pathlib import Path
 DOCS = Path(__file__).parent
 sys.path[:0] = [str(DOCS.parent), str(DOCS / "builder")]
 
-from pinred.common.installation import __version__  # noqa: E402
+from pinred.common.errors import __version__  # noqa: E402
 
 project, author, copyright = "pinred", "The pinred authors", "2026, the pinred authors"  # noqa: A001
 version = release = __version__

@@ -11,6 +11,6 @@ Each name is imported at its first use, so that `import pinred` is fast.  The st
 
 import lazy_loader
 
-from .common.installation import __version__ as __version__
+from .common.errors import __version__ as __version__
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -32,7 +32,7 @@ def hatch_build(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 def test_version_is_defined_in_one_file() -> None:
-    """Only pinred/common/installation.py states the version; no other file of the release does."""
+    """Only pinred/common/errors.py states the version; no other file of the release does."""
     assert (ROOT / PROJECT["tool"]["hatch"]["version"]["path"]).is_file()
     assert PROJECT["project"]["dynamic"] == ["version", "readme"]
     for name in ("pyproject.toml", "CITATION.cff", "README.md", "SECURITY.md", "hatch_build.py"):

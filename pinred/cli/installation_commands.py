@@ -14,8 +14,7 @@ from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ..common.errors import InputError, PinredError
-from ..common.installation import __version__, install_command
+from ..common.errors import InputError, PinredError, __version__, install_command
 
 if TYPE_CHECKING:
     from ..system.system import System

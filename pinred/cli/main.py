@@ -26,9 +26,9 @@ from ..common.errors import (
     PinredError,
     RejectedWarning,
     SceneWarning,
+    __version__,
     shorten_message,
 )
-from ..common.installation import __version__
 from ..common.names import most_similar, plain, quoted
 from ..common.waiting import INTERRUPTED, report_interrupt
 from .command_options import FORMER

@@ -1,4 +1,4 @@
-"""Exceptions and warnings of pinred.
+"""Exceptions and warnings of pinred, its version, and packages that may be missing.
 
 A message states the value, the expected value, and a way to fix the problem.
 """
@@ -12,13 +12,14 @@ import sysconfig
 from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache, partial
+from importlib import import_module
+from importlib.util import find_spec
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
 
 _LONG_WORD = re.compile(r"\S{201,}")
 _LONGEST = 2000  # maximum number of characters of a message
@@ -334,3 +335,25 @@ class CacheWarning(UserWarning):
 
 class StoreWarning(UserWarning):
     """The store of a sweep is damaged; its damaged blocks are computed again."""
+
+
+__version__ = "0.1.0"
+
+
+def install_command(extra: str) -> str:
+    """Return the command that installs an extra of pinred, from a release or from a checkout."""
+    return f'pip install "pinred[{extra}]" (in a checkout: pip install ".[{extra}]")'
+
+
+def optional_package(name: str, message: str) -> Any:
+    """Return a module.  Raises MissingPackageError with a message if it is not installed."""
+    try:
+        return import_module(name)
+    except ImportError as missing:
+        raise MissingPackageError(message) from missing
+
+
+def require_package(name: str, message: str) -> None:
+    """Raise MissingPackageError with a message if a package is not installed; do not import it."""
+    if find_spec(name) is None:
+        raise MissingPackageError(message)

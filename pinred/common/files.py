@@ -1,4 +1,4 @@
-"""File tools: tests of paths, temporary files, atomic writing, and the user's signing key.
+"""Files: tests of paths, atomic writing, the user's signing key, zarr folders, packed values.
 
 A process locks its temporary file while it writes.  The operating system releases the lock
 when the process ends.  A temporary file that can be locked therefore belongs to no running process
@@ -8,6 +8,12 @@ The key signs entries of the kernel cache.
 
 Another user who can write into the cache can forge a checksum, but not a signature.  The key is
 stored in the user's data folder, which no other user can read.
+
+Folders in the format zarr 3 have arrays that name their dimensions, so that xarray reads them.
+
+Packed values are nested values as JSON text and binary buffers: None, booleans, numbers, texts,
+bytes, arrays, and lists and dictionaries of them.  Floats and arrays keep all bits.  Lists of
+similar values become columns, so that long lists are small.  Reading executes nothing.
 """
 
 from __future__ import annotations
@@ -25,12 +31,21 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import Lock
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
+import numpy as np
 from platformdirs import user_data_path
 
-from .errors import CacheWarning, InputError, LoadError, OutputError
+from .errors import (
+    CacheWarning,
+    InputError,
+    LoadError,
+    OutputError,
+    install_command,
+    optional_package,
+)
 from .names import brief, quoted_path
 
 
@@ -403,3 +418,164 @@ def _create_key(folder: int, path: Path) -> bytes:
 
 def _warn(text: str) -> None:
     warnings.warn(text, CacheWarning, stacklevel=6)
+
+
+def import_zarr(path: Path, extra: str = "zarr") -> Any:
+    """Return the package zarr.  Raises MissingPackageError with the command that installs it."""
+    return optional_package(
+        "zarr",
+        f"{quoted_path(path)}: files of zarr need the package zarr: {install_command(extra)}",
+    )
+
+
+def array_name(name: str) -> str:
+    """Return a name that zarr and CF conventions admit, without separators."""
+    return name.replace("/", "_").replace(" ", "_")
+
+
+def create_group(path: Path, attributes: Mapping[str, Any]) -> Any:
+    """Create a zarr folder.
+
+    Args:
+        path: Path of the folder, which must not exist.
+        attributes: Its attributes.
+    Returns:
+        The group.
+    Raises:
+        OutputError: The folder cannot be written.
+        MissingPackageError: zarr is not installed.
+    """
+    zarr = import_zarr(path, "sweep")
+    try:
+        return zarr.create_group(str(path), zarr_format=3, attributes=dict(attributes))
+    except OSError as error:
+        raise OutputError(not_written(path, error)) from error
+
+
+def open_group(path: Path, mode: str = "r") -> Any:
+    """Return a zarr folder.  Raises MissingPackageError or InputError."""
+    zarr = import_zarr(path, "sweep")
+    try:
+        return zarr.open_group(str(path), mode=mode)
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{quoted_path(path)} is not a zarr folder: {error}") from None
+
+
+def create_array(
+    group: Any, name: str, dims: Sequence[str], attributes: Mapping[str, Any], **options: Any
+) -> Any:
+    """Create an array in a group, which is uncompressed by default.
+
+    Args:
+        group: The group.
+        name: Name of the array.
+        dims: Names of the dimensions.
+        attributes: Attributes; empty texts are omitted.
+        options: Options of zarr: shape, dtype, fill_value, chunks or data, and compressors.
+    Returns:
+        The array.
+    """
+    kept = {key: value for key, value in attributes.items() if value != ""}
+    return group.create_array(
+        name, dimension_names=list(dims), attributes=kept, **{"compressors": None, **options}
+    )
+
+
+def replace_folder(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a zarr folder under a temporary name, then replace the folder of the final name.
+
+    Args:
+        path: Final path; a zarr folder with this name is replaced.
+        write: Function that writes a folder.
+    Raises:
+        InputError: Something else than a zarr folder has this name.
+        OutputError: Writing fails; an older folder is unchanged.
+    """
+    if path.exists() and not (path / "zarr.json").exists():
+        raise InputError(f"cannot write {quoted_path(path)}: it exists and is not a zarr folder")
+    try:
+        with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as parent:
+            complete, old = Path(parent) / "complete", Path(parent) / "old"
+            write(complete)
+            if path.exists():
+                path.rename(old)  # The temporary folder is removed with the old content.
+            try:
+                complete.rename(path)
+            finally:
+                if old.exists() and not path.exists():
+                    old.rename(path)
+    except OSError as error:
+        raise OutputError(not_written(path, error)) from error
+
+
+def pack(value: Any) -> tuple[Any, list[bytes | memoryview]]:
+    """Return a value as data for JSON, and the buffers to which the data refers.
+
+    Args:
+        value: The value.
+    Returns:
+        Data and buffers, as `unpack` expects them.
+    """
+    buffers: list[bytes | memoryview] = []
+    return _pack(value, buffers), buffers
+
+
+def unpack(data: Any, buffers: Sequence[bytes | memoryview]) -> Any:
+    """Return the value of data and buffers that `pack` returned; arrays are writable copies."""
+    if not isinstance(data, dict):
+        return data
+    ((form, content),) = data.items()
+    match form:
+        case "bytes":
+            return bytes(buffers[content])
+        case "array":
+            dtype, shape, k = content
+            return np.frombuffer(bytearray(buffers[k]), dtype).reshape(shape)
+        case "dict":
+            return {key: unpack(entry, buffers) for key, entry in content.items()}
+        case "list":
+            return [unpack(entry, buffers) for entry in content]
+        case "floats":
+            return unpack(content, buffers).tolist()
+        case "arrays":
+            shapes, flat = (unpack(entry, buffers) for entry in content)
+            ends = np.cumsum(shapes.prod(axis=1))
+            pieces = np.split(flat, ends[:-1])
+            return [piece.reshape(shape) for piece, shape in zip(pieces, shapes, strict=True)]
+        case "columns":
+            columns = {key: unpack(entry, buffers) for key, entry in content.items()}
+            return [
+                dict(zip(columns, entries, strict=True))
+                for entries in zip(*columns.values(), strict=True)
+            ]
+    raise InputError(f"expected a kind of packed values, got {form!r}")
+
+
+def _pack(value: Any, buffers: list[bytes | memoryview]) -> Any:
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, bytes):
+        buffers.append(value)
+        return {"bytes": len(buffers) - 1}
+    if isinstance(value, np.ndarray):
+        array = np.ascontiguousarray(value)
+        buffers.append(array.reshape(-1).view(np.uint8).data)
+        return {"array": [array.dtype.str, list(value.shape), len(buffers) - 1]}
+    if isinstance(value, Mapping):
+        return {"dict": {key: _pack(entry, buffers) for key, entry in value.items()}}
+    return _pack_list(list(value), buffers)
+
+
+def _pack_list(values: list[Any], buffers: list[bytes | memoryview]) -> Any:
+    """Return a list as data, in columns if its entries are of one kind."""
+    kinds = {type(value) for value in values}
+    if kinds == {float}:
+        return {"floats": _pack(np.array(values), buffers)}
+    if kinds == {np.ndarray} and len({(array.dtype, array.ndim) for array in values}) == 1:
+        shapes = np.array([array.shape for array in values], dtype=np.int64)
+        flat = np.concatenate([array.reshape(-1) for array in values])
+        return {"arrays": [_pack(shapes, buffers), _pack(flat, buffers)]}
+    if kinds == {dict} and values[0] and len({tuple(value) for value in values}) == 1:
+        columns = {key: [value[key] for value in values] for key in values[0]}
+        return {"columns": {key: _pack_list(column, buffers) for key, column in columns.items()}}
+    return {"list": [_pack(value, buffers) for value in values]}

@@ -311,3 +311,14 @@ def _identity() -> bytes:
     """Return the first bytes of all object files of this machine; others would crash LLVM."""
     header: bytes = create_machine(1).emit_object(llvm.parse_assembly(""))
     return header[:_IDENTITY]
+
+
+def available_processors() -> int:
+    """Return the number of processors that this process may use, at least 1."""
+    affinity = getattr(os, "sched_getaffinity", None)  # macOS has none
+    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+
+
+def spare_processors() -> int:
+    """Return how many processors this process may use in addition to one."""
+    return available_processors() - 1

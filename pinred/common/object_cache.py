@@ -6,6 +6,10 @@ only if its header and key agree and its signature was made with the user's sign
 an invalid entry is never run; it is compiled again.  A fault of the cache causes a CacheWarning
 and a recompilation, never an error.
 
+While a thread does other work, other threads may compile an object that it will need, in parts.
+The thread that needs the object compiles the parts that no other thread has begun, so it never
+waits for a thread that has not started.
+
 Several signing keys may share a folder, as containers with separate homes do.  The file name of an
 entry contains a fingerprint of its signing key, so each key has its own entries.
 """
@@ -18,22 +22,23 @@ import re
 import stat
 import struct
 import warnings
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache, partial
 from hashlib import sha256
 from importlib.metadata import version
+from itertools import count
 from pathlib import Path
+from threading import Event, Lock, Thread, current_thread
 from typing import BinaryIO, NamedTuple
 
 import llvmlite.binding as llvm
 from platformdirs import user_cache_path
 
-from .compile_ahead import ObjectAhead, Part, begin, spare_processors
-from .errors import CacheWarning, InputError
+from .errors import CacheWarning, InputError, __version__
 from .files import TEMPORARY, fingerprint, signing_key, sweep, temporary
-from .installation import __version__
-from .machine_code import LEVEL, code_level, cpu_target
+from .machine_code import LEVEL, code_level, cpu_target, spare_processors
 from .waiting import notice_of_compiling
 
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
@@ -273,7 +278,7 @@ class ObjectCache:
             return
         store = ObjectCache(self.folder, self.limit, silent=True).put
         ahead = _ahead[self.folder, key] = ObjectAhead(parts, join, partial(store, key), what)
-        begin(ahead)
+        begin_ahead(ahead)
 
     def get(self, key: str) -> bytes | None:
         """Read an object, or return it if it was compiled ahead.
@@ -469,3 +474,127 @@ def _entries(folder: int) -> list[CacheEntry]:
         for name, status in _files(folder, _ENTRY)
     ]
     return sorted(entries, key=lambda entry: entry.last_use)
+
+
+Part = Callable[[], bytes]  # compiles one part
+
+
+class ObjectAhead:
+    """An object that several threads compile in parts.
+
+    If another thread fails, there is no object.  The thread that needs it then compiles it alone,
+    and raises the error.
+
+    Attributes:
+        is_stored: Whether another thread has stored the object.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[Part],
+        join: Callable[[Sequence[bytes]], bytes],
+        store: Callable[[bytes], bool],
+        what: str,
+    ) -> None:
+        """Set the functions that compile the object, without calling them.
+
+        Args:
+            parts: Functions that each compile one part, the longest first.
+            join: Returns the object of all parts.
+            store: Stores an object that no thread has requested yet; returns whether it is stored.
+            what: What the object is, for the notice of a user who waits.
+        """
+        self.is_stored = False
+        self._parts, self._join, self._store, self._what = parts, join, store, what
+        self._lock, self._next, self._ended = Lock(), count(), Event()
+        self._codes: dict[int, bytes] = {}
+        self._is_requested = self._has_failed = False
+
+    def help(self) -> None:
+        """Compile parts until all are begun; for other threads than the one that needs the object.
+
+        Whoever compiles the last part of an object that is not requested yet stores it, so that
+        code which is never needed is compiled once per machine.
+        """
+        try:
+            is_last = self._compile_parts()
+            if is_last and not self._is_requested:
+                self.is_stored = self._store(self._joined())
+        except Exception:
+            self._has_failed = True
+            self._ended.set()
+
+    def result(self) -> bytes | None:
+        """Compile the parts that no thread has begun, wait for the others, and return the object.
+
+        Returns:
+            The object, or None if another thread could not compile its part.
+        """
+        self._is_requested = True
+        with notice_of_compiling(self._what):
+            self._compile_parts()
+            self._ended.wait()
+        return None if self._has_failed else self._joined()
+
+    def _compile_parts(self) -> bool:
+        """Compile parts until all are begun; return whether the last one ended here."""
+        is_last = False
+        while (k := next(self._next)) < len(self._parts):
+            code = self._parts[k]()
+            with self._lock:
+                self._codes[k] = code
+                is_last = len(self._codes) == len(self._parts)
+        if is_last:
+            self._ended.set()
+        return is_last
+
+    def _joined(self) -> bytes:
+        return self._join([self._codes[k] for k in range(len(self._codes))])
+
+
+_LOCK = Lock()
+_waiting: deque[ObjectAhead] = deque()
+_workers: list[Thread] = []  # they end when no object is waiting
+
+
+def begin_ahead(ahead: ObjectAhead) -> None:
+    """Let other threads compile an object, after those that are waiting already.
+
+    Args:
+        ahead: The object.
+    """
+    with _LOCK:
+        _waiting.append(ahead)
+        if len(_workers) >= spare_processors():
+            return
+        worker = Thread(target=_work, name="pinred compiles ahead")
+        _workers.append(worker)
+    try:
+        worker.start()
+    except RuntimeError:  # the process ends, or has too many threads
+        with _LOCK:
+            _workers.remove(worker)
+
+
+def _work() -> None:
+    """Compile objects until none is waiting."""
+    while True:
+        with _LOCK:
+            if not _waiting:
+                _workers.remove(current_thread())
+                return
+            ahead = _waiting[0]
+        ahead.help()
+        with _LOCK:
+            if _waiting and _waiting[0] is ahead:
+                _waiting.popleft()
+
+
+def wait_for_workers() -> None:
+    """Wait until the other threads have ended."""
+    for worker in tuple(_workers):
+        worker.join()
+
+
+# A forked process would have the locks that another thread holds, but not the thread.
+os.register_at_fork(before=wait_for_workers)

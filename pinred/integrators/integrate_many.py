@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..common.arrays import Array, FrozenArrays, as_floats, positive, read_only
-from ..common.compile_ahead import available_processors
 from ..common.errors import InputError, ShapeError
+from ..common.machine_code import available_processors
 from .integrate import Tangent, begun_by, check_kernel, check_state, give_tangent
 from .methods.method import Method, stepper_of
 from .solution import checked_times

@@ -15,9 +15,10 @@ Pinocchio.  Planar angles are not wrapped, so a pose keeps its number of full tu
 returns the principal value.  All functions accept leading axes: poses (..., size) and twists
 (..., dim).
 
-A `Group` instance in a new module of this folder is registered automatically.  The closed forms follow J. Solà, J. Deray, D. Atchuthan, "A micro Lie theory for
-state estimation in robotics", 2018, appendices.  They are rearranged so that no formula loses
-digits near the identity or near half a turn.
+A `Group` instance in a new module of this folder is registered automatically.  The closed forms
+follow J. Solà, J. Deray, D. Atchuthan, "A micro Lie theory for state estimation in robotics",
+2018, appendices.  They are rearranged so that no formula loses digits near the identity or near
+half a turn.
 """
 
 from __future__ import annotations

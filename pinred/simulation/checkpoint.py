@@ -26,10 +26,18 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from ..common.arrays import Array, read_only
 from ..common.errors import InputError, OutputError
-from ..common.files import TEMPORARY, check_path, fingerprint, is_file, signing_key, write_atomic
+from ..common.files import (
+    TEMPORARY,
+    check_path,
+    fingerprint,
+    is_file,
+    pack,
+    signing_key,
+    unpack,
+    write_atomic,
+)
 from ..common.names import quoted_path
 from ..common.object_cache import cache_key
-from ..common.packed_values import pack, unpack
 from ..common.waiting import cleaning_up, held_interrupt
 from ..integrators.solution import SavedRun
 
@@ -68,7 +76,7 @@ def write_checkpoint(path: Path, content: dict[str, Any]) -> None:
 
     Args:
         path: Name of the file.
-        content: The values; see common/packed_values.py.
+        content: The values; see common/files.py.
     Raises:
         OutputError: The file cannot be written.
     """

@@ -15,17 +15,17 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..common.argument_kinds import checks_arguments
-from ..common.errors import LoadError
-from ..common.files import check_path, write_atomic
-from ..common.installation import install_command, optional_package
-from ..common.names import quoted_path
-from ..common.zarr_folders import (
+from ..common.errors import LoadError, install_command, optional_package
+from ..common.files import (
+    check_path,
     create_array,
     create_group,
     import_zarr,
     open_group,
     replace_folder,
+    write_atomic,
 )
+from ..common.names import quoted_path
 from ..system.body_parameters import name_in_files
 from ..system.locked_joints import LockValue
 from ..system.model_parameters import GRAVITY

@@ -14,8 +14,7 @@ from typing import Any, cast
 import cloudpickle
 import distributed
 
-from ..common.errors import InputError, PinredError
-from ..common.installation import __version__
+from ..common.errors import InputError, PinredError, __version__
 from ..common.names import brief, quoted
 from .sweep_job import Block, SweepJob
 

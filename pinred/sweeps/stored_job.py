@@ -21,9 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from ..common.errors import InputError
+from ..common.errors import InputError, __version__
 from ..common.files import TEMPORARY, fingerprint, read_plain_file, signing_key, write_atomic
-from ..common.installation import __version__
 from ..common.names import brief
 from ..kernels.build import model_bytes
 from ..scene.scene import Scene

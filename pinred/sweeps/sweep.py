@@ -14,12 +14,16 @@ import numpy as np
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import whole
-from ..common.errors import InputError, RejectedWarning
-from ..common.files import is_folder
-from ..common.installation import install_command, optional_package, require_package
+from ..common.errors import (
+    InputError,
+    RejectedWarning,
+    install_command,
+    optional_package,
+    require_package,
+)
+from ..common.files import import_zarr, is_folder
 from ..common.names import brief, nearest, one_of, quoted, quoted_path
 from ..common.waiting import Progress, say, shown
-from ..common.zarr_folders import import_zarr
 from ..scene.scene import Scene
 from ..scene.scene_options import BLOCK, SAMPLERS, Sampler
 from ..simulation.plan import Group, members_plan, refuse_with_stops

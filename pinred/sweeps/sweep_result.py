@@ -12,8 +12,8 @@ from zarr.storage import LocalStore, WrapperStore
 
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import LoadError, PinredError
+from ..common.files import array_name
 from ..common.names import brief, quoted_path
-from ..common.zarr_folders import array_name
 from ..simulation.members.trajectories import Failure
 from .stored_job import read_job
 from .sweep_store import PLAN, StoredBlocks, read_blocks, read_plan

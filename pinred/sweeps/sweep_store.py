@@ -33,17 +33,20 @@ from ..common.errors import (
     StoreWarning,
 )
 from ..common.files import (
+    array_name,
     check_path,
+    create_array,
+    import_zarr,
     is_file,
     is_folder,
     lock_shared,
     not_written,
+    open_group,
     read_plain_file,
     remove_temporary_files,
     write_atomic,
 )
 from ..common.names import listed, plain, quoted, quoted_path
-from ..common.zarr_folders import array_name, create_array, import_zarr, open_group
 from ..system.state_fields import axis_labels, dimension
 from .stored_job import FORMAT, digest_of_parts, first_difference, plan_of_sweep, write_job
 from .sweep_job import MISSING, REJECTED, Block, SweepJob, check_row_shape

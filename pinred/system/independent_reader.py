@@ -25,8 +25,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from ..common.errors import LoadError
-from ..common.installation import optional_package
+from ..common.errors import LoadError, optional_package
 from ..common.names import listed, plain_path, quoted
 from .joints import axes_of, joint_kind
 from .passive import UNLIMITED

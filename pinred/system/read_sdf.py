@@ -20,8 +20,14 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from ..common.errors import ChoiceError, InputError, LoadError, ModelError
-from ..common.installation import install_command, optional_package
+from ..common.errors import (
+    ChoiceError,
+    InputError,
+    LoadError,
+    ModelError,
+    install_command,
+    optional_package,
+)
 from ..common.names import listed, nearest, plain_path, quoted
 from .loops.loop import Loop
 from .passive import Spring

@@ -35,9 +35,8 @@ from xml.sax.saxutils import escape, quoteattr
 import pinocchio as pin
 
 from ..common.arrays import entries_of
-from ..common.errors import InputError, LoadError, ModelError
+from ..common.errors import InputError, LoadError, ModelError, install_command
 from ..common.files import is_file, is_folder
-from ..common.installation import install_command
 from ..common.names import brief, listed, plain_path, quoted, quoted_path
 from .loops.loop import Constraint, parse_loops
 

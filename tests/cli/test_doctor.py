@@ -10,7 +10,7 @@ import pytest
 from pinred.cli import installation_commands
 from pinred.cli.installation_commands import Requirement, examine, read_requirements
 from pinred.cli.main import main
-from pinred.common.installation import __version__
+from pinred.common.errors import __version__
 
 VERSIONS = {"new": "2.10.0", "even": "2.9", "old": "2.8.5", "candidate": "3.0rc1"}
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pinred.common import compile_ahead, object_cache
+from pinred.common import machine_code, object_cache
 from pinred.common.errors import CacheWarning
 from pinred.common.object_cache import ObjectCache, cache_key
 
@@ -21,9 +21,8 @@ KEY = cache_key("ahead")
 def two_processors(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let one other thread compile, on machines with any number of processors."""
     monkeypatch.setattr(object_cache, "spare_processors", lambda: 1)
-    monkeypatch.setattr(compile_ahead, "spare_processors", lambda: 1)
     yield
-    compile_ahead.finish()
+    object_cache.wait_for_workers()
     object_cache._ahead.clear()
 
 
@@ -42,8 +41,8 @@ def named(log: list[str], *codes: str) -> Callable[[], Sequence[Callable[[], byt
 
 def ended() -> None:
     """Wait until no other thread compiles."""
-    compile_ahead.finish()
-    assert not compile_ahead._workers
+    object_cache.wait_for_workers()
+    assert not object_cache._workers
 
 
 def test_other_thread_compiles_and_stores_the_object(tmp_path: Path) -> None:
@@ -80,10 +79,10 @@ def test_processors_of_the_process_count(monkeypatch: pytest.MonkeyPatch) -> Non
     """A process may be limited to some processors of the machine."""
     monkeypatch.undo()
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3})
-    assert compile_ahead.spare_processors() == 0
+    assert machine_code.spare_processors() == 0
     monkeypatch.delattr(os, "sched_getaffinity")  # as on macOS
     monkeypatch.setattr(os, "cpu_count", lambda: 4)
-    assert compile_ahead.spare_processors() == 3
+    assert machine_code.spare_processors() == 3
 
 
 def test_caller_compiles_the_parts_that_no_thread_has_begun(tmp_path: Path) -> None:
@@ -131,7 +130,7 @@ def test_interrupted_caller_can_compile_again(tmp_path: Path) -> None:
         raise KeyboardInterrupt
 
     cache = ObjectCache(tmp_path)
-    ahead = compile_ahead.ObjectAhead([interrupt], b"".join, lambda _: True, "an object")
+    ahead = object_cache.ObjectAhead([interrupt], b"".join, lambda _: True, "an object")
     object_cache._ahead[tmp_path, KEY] = ahead
     with pytest.raises(KeyboardInterrupt):
         cache.get(KEY)
@@ -150,10 +149,10 @@ def test_caller_compiles_all_if_no_thread_starts(
     log: list[str] = []
     cache = ObjectCache(tmp_path)
     cache.compile_ahead(KEY, named(log, "one"), b"".join, "an object")
-    assert not compile_ahead._workers
+    assert not object_cache._workers
     assert cache.get(KEY) == b"one"
     assert log == [threading.current_thread().name]
-    compile_ahead._waiting.clear()
+    object_cache._waiting.clear()
 
 
 def test_only_the_caller_warns_of_a_cache_without_space(

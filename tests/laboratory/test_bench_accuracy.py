@@ -17,8 +17,7 @@ from trees import random_model, shuffled
 import pinred
 from pinred.cli.main import main
 from pinred.common.arrays import Array
-from pinred.common.errors import InputError, IntegrationError, LoadError
-from pinred.common.installation import install_command
+from pinred.common.errors import InputError, IntegrationError, LoadError, install_command
 from pinred.integrators.methods import RKMK4
 from pinred.judge.reference_solution import FullMotion
 from pinred.laboratory.bench import (

@@ -14,8 +14,7 @@ from trees import random_model
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.common.errors import IntegrationError, UnsupportedOperationError
-from pinred.common.installation import install_command
+from pinred.common.errors import IntegrationError, UnsupportedOperationError, install_command
 from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.kernels.kernel import Structure
 from pinred.kernels.reduced_graph import ReducedGraph

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.common import compile_ahead, object_cache
+from pinred.common import object_cache
 from pinred.common.errors import InputError
 from pinred.common.machine_code import (
     _unlocked_library,
@@ -188,7 +188,7 @@ def test_code_that_calls_cannot_use_is_not_generated(
 ) -> None:
     """Nothing is generated ahead without shipped code, or where Python has other objects."""
     begun: list[object] = []
-    monkeypatch.setattr("pinred.common.object_cache.begin", begun.append)
+    monkeypatch.setattr("pinred.common.object_cache.begin_ahead", begun.append)
     monkeypatch.setattr(ObjectCache, "_has_entry", lambda *_: False)
     for module in ("common.object_cache", "simulation.compiled.code_ahead"):
         monkeypatch.setattr(f"pinred.{module}.spare_processors", lambda: 1)
@@ -216,13 +216,13 @@ def test_threads_end_with_the_call_and_warm_calls_start_none(
     cat = pinred.load("falling_cat")
     pinred.simulate_many(cat, seeds=range(3), times=[0.02], threads=1)
     pinred.simulate(cat, seed=1, duration=0.02)
-    compile_ahead.finish()
+    object_cache.wait_for_workers()
     begun: list[object] = []
     monkeypatch.setattr(code_ahead, "_requested", set())
-    monkeypatch.setattr("pinred.common.object_cache.begin", begun.append)
-    monkeypatch.setattr(compile_ahead, "spare_processors", lambda: 1)
+    monkeypatch.setattr("pinred.common.object_cache.begin_ahead", begun.append)
+    monkeypatch.setattr(object_cache, "spare_processors", lambda: 1)
     other = pinred.load("falling_cat")
     pinred.simulate_many(other, seeds=range(3), times=[0.02], threads=1)
     pinred.simulate(other, seed=1, duration=0.02)
     assert begun == []
-    assert not compile_ahead._workers
+    assert not object_cache._workers

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.common import compile_ahead, object_cache
+from pinred.common import object_cache
 from pinred.kernels import derived_code
 from pinred.kernels.machine.native import lowered
 
@@ -23,12 +23,13 @@ def test_derivatives_use_the_code_that_is_expected(
     for module in (object_cache, derived_code):
         monkeypatch.setattr(module, "spare_processors", lambda: 1)
     begun: list[Any] = []
+    begin_ahead = object_cache.begin_ahead
 
-    def begin(ahead: compile_ahead.ObjectAhead) -> None:
+    def begin(ahead: object_cache.ObjectAhead) -> None:
         begun.append(ahead)
-        compile_ahead.begin(ahead)
+        begin_ahead(ahead)
 
-    monkeypatch.setattr(object_cache, "begin", begin)
+    monkeypatch.setattr(object_cache, "begin_ahead", begin)
     robot = pinred.load("elroys_beanie")
     end = pinred.flow(robot, wrt=["x0", "xdot0"], seed=1, duration=0.1, method=method)
     for derivative in (

@@ -170,7 +170,7 @@ def test_missing_package_names_the_extra(
             raise ImportError(name)
         return load(name, *rest)
 
-    monkeypatch.setattr("pinred.common.installation.import_module", lambda name: without(name))
+    monkeypatch.setattr("pinred.common.errors.import_module", lambda name: without(name))
     with pytest.raises(pinred.MissingPackageError, match=r'pip install "pinred\[viser\]"'):
         pinred.play(traj, viewer="viser", show=False)
     with pytest.raises(pinred.MissingPackageError, match=r'pip install "pinred\[rerun\]"'):

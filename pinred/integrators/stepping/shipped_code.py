@@ -19,8 +19,12 @@ from typing import Any
 import llvmlite.binding as llvm
 import numpy as np
 
-from ...common.errors import UnsupportedOperationError
-from ...common.installation import __version__, install_command, require_package
+from ...common.errors import (
+    UnsupportedOperationError,
+    __version__,
+    install_command,
+    require_package,
+)
 from ...common.machine_code import LLVM_LOCK, cpu_target, create_machine, load_object, parse_bitcode
 from ...common.object_cache import ObjectCache
 from ...common.waiting import notice_of_compiling

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.errors import DeviceError
-from ...common.installation import install_command, optional_package
+from ...common.errors import DeviceError, install_command, optional_package
 from ...common.memo import once_for_all
 
 CAPABILITY = (9, 0)  # lowest compute capability that runs the PTX

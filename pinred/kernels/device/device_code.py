@@ -29,8 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...common.arrays import Array, read_only
-from ...common.errors import UnsupportedOperationError
-from ...common.installation import install_command
+from ...common.errors import UnsupportedOperationError, install_command
 from ...common.machine_code import LLVM_LOCK
 from ...common.memo import once, once_for_all
 from ...common.object_cache import ObjectCache, cache_key

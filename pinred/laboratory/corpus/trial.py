@@ -30,8 +30,8 @@ from ...common.errors import (
     ModelError,
     PinredError,
     SymmetryError,
+    optional_package,
 )
-from ...common.installation import optional_package
 from ...judge.compare import compare
 from ...judge.verdict import Report, Verdict
 from ...reduction.pointwise_reduction import symmetric

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from ...common.arrays import Array
-from ...common.casadi_callback import ArrayCallback
 from ...lie.rotations import hat
 from ...reduction.tree.second_derivatives import InverseDynamics, Motion
+from ...simulation.flow_map.flow_columns import ArrayCallback
 from ...system.system import System
 
 # Joints with limits of shapes, of rates and of torques.

@@ -21,8 +21,14 @@ import llvmlite.binding as llvm
 import numpy as np
 
 from ...common.arrays import read_only
-from ...common.compile_ahead import Part, spare_processors
-from ...common.machine_code import archive_of, create_machine, emit_object, parse_bitcode
+from ...common.machine_code import (
+    archive_of,
+    create_machine,
+    emit_object,
+    parse_bitcode,
+    spare_processors,
+)
+from ...common.object_cache import Part
 from ...integrators.integrate_many import checked_batch
 from ...integrators.methods.method import Explicit, Method, stepper_of
 from ...integrators.stepping import shipped_code

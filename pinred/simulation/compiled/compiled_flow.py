@@ -17,8 +17,8 @@ from weakref import ref
 import numpy as np
 
 from ...common.arrays import Array, read_only
-from ...common.compile_ahead import available_processors
 from ...common.errors import InputError, UnsupportedOperationError
+from ...common.machine_code import available_processors
 from ...common.memo import once, recent
 from ...forces.force_model import ForceModel
 from ...forces.force_numbers import BaseInSpace, SpanNumbers

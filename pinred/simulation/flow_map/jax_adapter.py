@@ -19,8 +19,7 @@ import numpy as np
 from llvmlite import ir
 
 from ...common.arrays import Array
-from ...common.errors import InputError, MissingPackageError
-from ...common.installation import optional_package
+from ...common.errors import InputError, MissingPackageError, optional_package
 from ...common.memo import once_for_all
 from ...integrators.stepping.compiling import compiled, make_intrinsic, numba_core
 from .flow_columns import FIRST_ORDER, Batched, Columns

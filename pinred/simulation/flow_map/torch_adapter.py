@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...common.errors import InputError, ShapeError
-from ...common.installation import optional_package
+from ...common.errors import InputError, ShapeError, optional_package
 from ...common.memo import once_for_all
 from ...common.names import brief
 from .flow_columns import FIRST_ORDER, Batched, Columns

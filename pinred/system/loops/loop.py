@@ -22,9 +22,8 @@ import numpy as np
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
-from ...common.errors import InputError, LoadError
+from ...common.errors import InputError, LoadError, install_command, optional_package
 from ...common.files import is_file
-from ...common.installation import install_command, optional_package
 from ...common.names import brief, plain_path, quoted
 
 LoopKind = Literal["3d", "6d", "x", "y", "z"]

@@ -20,9 +20,8 @@ from xml.parsers import expat
 
 import numpy as np
 
-from ...common.errors import LoadError, ModelError, PinredError
+from ...common.errors import LoadError, ModelError, PinredError, install_command, optional_package
 from ...common.files import is_file, is_special
-from ...common.installation import install_command, optional_package
 from ...common.names import plain_path
 from ..robot_files import is_mujoco, library_output, read_text, without_hyphens
 

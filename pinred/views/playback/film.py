@@ -26,9 +26,8 @@ from PIL import Image, ImageDraw, ImageFont  # a dependency of meshcat
 from PIL.Image import Image as Picture
 
 from ...common.arrays import Array
-from ...common.errors import InputError, OutputError
+from ...common.errors import InputError, OutputError, install_command
 from ...common.files import check_path, write_atomic
-from ...common.installation import install_command
 from ...common.waiting import Progress, quiet, say, shown
 from ...lie.rotations import rotation
 from ..motion_source import MotionSource

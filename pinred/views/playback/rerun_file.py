@@ -13,9 +13,8 @@ from uuid import uuid4
 import numpy as np
 
 from ...common.arrays import Array
-from ...common.errors import OutputError
+from ...common.errors import OutputError, install_command, optional_package
 from ...common.files import check_path, write_atomic
-from ...common.installation import install_command, optional_package
 from ...common.waiting import Wait
 from ...lie.rotations import rotation
 from ..motion_source import MotionSource

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from ...common.arrays import Array
-from ...common.errors import InputError
-from ...common.installation import install_command, optional_package
+from ...common.errors import InputError, install_command, optional_package
 from ...lie.rotations import rotation
 from ..motion_source import MotionSource
 from .drawn_bodies import drawn_bodies

@@ -9,8 +9,7 @@ imported. The stub `__init__.pyi` lists the modules of the functions.
 
 import lazy_loader
 
-from ...common.errors import MissingPackageError
-from ...common.installation import install_command
+from ...common.errors import MissingPackageError, install_command
 
 _imported, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 

@@ -25,8 +25,7 @@ import pinocchio as pin
 from scipy.integrate import ode, odeint, solve_ivp
 
 from ....common.arrays import Array
-from ....common.errors import IntegrationError, UnsupportedOperationError
-from ....common.installation import install_command
+from ....common.errors import IntegrationError, UnsupportedOperationError, install_command
 from ....common.waiting import held_interrupt
 from ....judge.full_system import root_motion
 from ....lie.group import Group
