@@ -1,7 +1,7 @@
 """Loads and closed loops by Pinocchio, for the validation of kernels and for the judge.
 
 The generalised forces τ = Jᵀ (F, N) of wrenches on links validate
-forces/generalized_forces.py, with which they share no formula.
+forces/force_model.py, with which they share no formula.
 """
 
 from __future__ import annotations

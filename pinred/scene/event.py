@@ -12,7 +12,7 @@ from ..common.names import brief
 from .toml.schema import Flag, Key, Table, Text, Whole
 
 if TYPE_CHECKING:
-    from ..forces.formula import Watched
+    from ..forces.force import Watched
     from ..system.system import System
 
 Direction = Literal[-1, 0, 1]
@@ -88,7 +88,7 @@ def watched_of(system: System, events: Sequence[Event], *, base: bool) -> Watche
     """
     if not events:
         return None
-    from ..forces.formula import Watched  # Imported here because it imports CasADi.
+    from ..forces.force import Watched  # Imported here because it imports CasADi.
 
     labels = [f"event '{event.name}'" for event in events]
     watched = Watched(system, [event.expression for event in events], labels)

@@ -212,7 +212,7 @@ def parse_control(value: Any, name: str) -> Control:
         InputError: The value is of another kind.
     """
     if isinstance(value, str):
-        from ..forces.formula import Formula  # Imported here because it needs CasADi.
+        from ..forces.force import Formula  # Imported here because it needs CasADi.
 
         try:
             return Expression(value)

@@ -77,8 +77,8 @@ from .scene_options import Engine as Engine
 from .stop import Bound, bounds_of, parse_stops, starts_beyond
 
 if TYPE_CHECKING:
+    from ..forces.force import Watched
     from ..forces.force_model import ForceModel
-    from ..forces.formula import Watched
 
 
 _NUMBERS = frozenset({float, int})

@@ -20,7 +20,7 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays
 from ..common.errors import IntegrationError
 from ..common.names import NamedResults
-from ..forces.formula import Watched
+from ..forces.force import Watched
 from ..scene.scene import Scene
 from ..system.coordinates import Indices
 from ..system.state_fields import ShapeState, State, map_arrays

@@ -15,7 +15,7 @@ from ..common.errors import LoadError, PinredError
 from ..common.files import array_name
 from ..common.names import brief, quoted_path
 from ..simulation.members.trajectories import Failure
-from .stored_job import read_job
+from .sweep_job import read_job
 from .sweep_store import PLAN, StoredBlocks, read_blocks, read_plan
 
 if TYPE_CHECKING:

@@ -48,8 +48,18 @@ from ..common.files import (
 )
 from ..common.names import listed, plain, quoted, quoted_path
 from ..system.state_fields import axis_labels, dimension
-from .stored_job import FORMAT, digest_of_parts, first_difference, plan_of_sweep, write_job
-from .sweep_job import MISSING, REJECTED, Block, SweepJob, check_row_shape
+from .sweep_job import (
+    FORMAT,
+    MISSING,
+    REJECTED,
+    Block,
+    SweepJob,
+    check_row_shape,
+    digest_of_parts,
+    first_difference,
+    plan_of_sweep,
+    write_job,
+)
 
 PLAN = "plan"
 _PLAN_FILE, _CHECKSUMS = f"{PLAN}/plan.json", f"{PLAN}/files.json"

@@ -11,7 +11,7 @@ from trees import placement, random_model
 
 import pinred
 from pinred.common.object_cache import ObjectCache
-from pinred.forces import ComputedTorque, Wrench, generalized_forces
+from pinred.forces import ComputedTorque, Wrench, force_model
 from pinred.forces.force_model import ForceModel
 from pinred.forces.force_numbers import RobotSymbols
 from pinred.kernels.build import build_kernel
@@ -56,23 +56,23 @@ def build_with(system: pinred.System, force: Any, freed: Freed | None = None) ->
 
 def test_validation_detects_wrong_link_wrench(monkeypatch: pytest.MonkeyPatch) -> None:
     """The joint torques of a link wrench, with three times the allowed error, are rejected."""
-    system, right = tree(), vars(generalized_forces)["of_load"]
+    system, right = tree(), vars(force_model)["of_load"]
     build_with(system, link_wrench())
 
     def wrong(*arguments: Any) -> Any:
         torque, wrench = right(*arguments)
         return torque * FAULT, wrench
 
-    monkeypatch.setattr(generalized_forces, "of_load", wrong)
+    monkeypatch.setattr(force_model, "of_load", wrong)
     with pytest.raises(pinred.KernelMismatch, match="Pinocchio: acceleration is"):
         build_with(system, link_wrench())
 
 
 def test_validation_detects_wrong_inverse_dynamics(monkeypatch: pytest.MonkeyPatch) -> None:
     """Torques with three times the allowed error are rejected."""
-    system, right = tree(), vars(generalized_forces)["required_torque"]
+    system, right = tree(), vars(force_model)["required_torque"]
     build_with(system, holding_controller(system))
-    monkeypatch.setattr(generalized_forces, "required_torque", lambda *a: right(*a) * FAULT)
+    monkeypatch.setattr(force_model, "required_torque", lambda *a: right(*a) * FAULT)
     with pytest.raises(pinred.KernelMismatch, match="Pinocchio: inverse dynamics is"):
         build_with(system, holding_controller(system))
 

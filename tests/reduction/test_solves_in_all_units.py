@@ -20,7 +20,7 @@ import pinred
 from pinred import poisson
 from pinred.analysis.connections.connection_physics import slip_matrix, slips_of
 from pinred.common.arrays import Array
-from pinred.forces.generalized_forces import loop_motion
+from pinred.forces.force_model import loop_motion
 from pinred.kernels.connection.connection_form import velocity_graph
 from pinred.kernels.reference_state import length_of, steps_of
 from pinred.reduction.pointwise_reduction import mass_matrix

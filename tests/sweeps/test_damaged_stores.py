@@ -20,7 +20,7 @@ from test_sweep import CAT, GAIN, numbers_of
 import pinred
 from pinred.common.files import lock_shared
 from pinred.forces import Damper
-from pinred.sweeps.stored_job import digest_of_parts
+from pinred.sweeps.sweep_job import digest_of_parts
 
 SCENE = pinred.Scene(
     system=CAT, duration=0.1, rtol=1e-4, atol=1e-6, momentum=0, xdot0=[0.5, -0.3, 0.2],

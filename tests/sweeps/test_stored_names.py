@@ -1,6 +1,6 @@
 """Names in stored scenes: the pickles of stores name classes by their modules, which must not move.
 
-If a class has to move, read its former name in `pinred.sweeps.stored_job`.
+If a class has to move, read its former name in `pinred.sweeps.sweep_job`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import pinred
-from pinred.sweeps.stored_job import StoredScene
+from pinred.sweeps.sweep_job import StoredScene
 
 STORED = {
     "pinred.common.argument_kinds": "Default",

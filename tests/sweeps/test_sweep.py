@@ -96,13 +96,13 @@ def test_open_sweep_simulates_points_of_own_stores_again(
     pinred.sweep(SCENE, {"gain": [0.1, 0.2]}, outputs=["x"], store=other)
     foreign = (other / "plan" / "scene.signed").read_bytes()
     changed = content[:-1] + bytes([content[-1] ^ 1])
-    monkeypatch.setattr("pinred.sweeps.stored_job.StoredScene", _refuse_to_execute)
+    monkeypatch.setattr("pinred.sweeps.sweep_job.StoredScene", _refuse_to_execute)
     for wrong in (foreign, changed, content[:40], b""):
         file.write_bytes(wrong)
         with pytest.raises(pinred.InputError, match="written or changed by another user"):
             pinred.open_sweep(path).point(0)
     file.write_bytes(content)
-    monkeypatch.setattr("pinred.sweeps.stored_job.signing_key", lambda: bytes(32))
+    monkeypatch.setattr("pinred.sweeps.sweep_job.signing_key", lambda: bytes(32))
     with pytest.raises(pinred.InputError, match="written or changed by another user"):
         pinred.open_sweep(path).point(0)
     monkeypatch.undo()

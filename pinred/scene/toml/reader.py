@@ -14,9 +14,8 @@ from ...common.argument_kinds import checks_arguments
 from ...common.errors import PinredError
 from ...common.parameter import Parameter
 from ...forces.columns import symbols_of
-from ...forces.force import Force, Limit
+from ...forces.force import NAMES, Force, Formula, Limit
 from ...forces.force_model_cache import cached_force_model
-from ...forces.formula import NAMES, Formula
 from ...forces.signals import Signal
 from ...forces.signals.expressions import FUNCTIONS, parse
 from ...integrators.methods import METHODS
