@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 from ..common.errors import InputError, OutputError
 from ..common.files import write_table
 from ..common.waiting import Wait
-from .command_files import out_path
-from .command_options import add_options, option_adder
+from .command_options import add_options, option_adder, out_path
 
 if TYPE_CHECKING:
     from ..laboratory.bench.work_precision import WorkPrecision
@@ -170,7 +169,7 @@ def _draw(folder: Path, results: Sequence[WorkPrecision]) -> None:
 
     try:
         from ..views.plots import work_precision
-        from .command_files import save_figure
+        from .command_options import save_figure
     except MissingPackageError as error:
         print(f"no figures: {error}")
         return

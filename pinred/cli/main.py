@@ -63,10 +63,9 @@ COMMANDS = {  # {command: description}
     "bench": "measure speed and accuracy",
 }
 _GROUPS = {  # {module without "_commands": its commands}
-    "robot": ("inspect", "robots", "equilibria"),
+    "analysis": ("inspect", "robots", "equilibria", "phase", "gait", "reorient"),
     "motion": ("compare", "simulate", "run", "sweep", "capture", "release", "land"),
     "view": ("plot", "play", "feel", "field"),
-    "gait": ("phase", "gait", "reorient"),
     "installation": ("cache", "doctor"),
     "laboratory": ("published", "stress", "corpus", "bench"),
 }

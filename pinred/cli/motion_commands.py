@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 from ..common.errors import InputError
 from ..common.files import DATA, check_path
 from ..common.names import listed
-from .command_files import check_robot, describe_file, motion_in, out_path, print_report
 from .command_options import (
     add_options,
     add_parameters,
@@ -24,9 +23,14 @@ from .command_options import (
     add_robot,
     add_scene,
     assigned_in,
+    check_robot,
+    describe_file,
+    motion_in,
     option_adder,
     options_in,
+    out_path,
     parameters_in,
+    print_report,
     scene_of,
 )
 

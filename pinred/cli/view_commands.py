@@ -10,17 +10,21 @@ from ..common.errors import InputError
 from ..common.files import FIGURES, check_path, write_atomic
 from ..views.plots import KINDS, options_of
 from ..views.plots.by_kind import DEFAULT_KIND, draw
-from .command_files import check_robot, describe_file, motion_in, save_figure, show_motion
 from .command_options import (
     add_options,
     add_parameters,
     add_robot,
     add_source,
+    check_robot,
+    describe_file,
+    motion_in,
     numbers_in,
     option_adder,
     parameters_in,
     refuse_of_robots,
+    save_figure,
     scene_with,
+    show_motion,
     source_of,
     system_of,
 )
@@ -210,7 +214,7 @@ def run_play(arguments: argparse.Namespace) -> int:
 
         check_path(path, (*PAGES, *SUFFIXES))  # Check the path before a long simulation.
     else:
-        from ..views.playback.server import check_port
+        from ..views.playback.page import check_port
 
         check_port(arguments.port)
     is_motion = Path(arguments.motion).suffix in (".npz", ".toml")
@@ -269,7 +273,7 @@ def add_feel_arguments(sub: argparse.ArgumentParser) -> None:
 def run_feel(arguments: argparse.Namespace) -> int:
     """Open or write the page.  Returns 0."""
     from ..views.motions import feel, save_html
-    from ..views.playback.server import check_port
+    from ..views.playback.page import check_port
 
     if arguments.out is not None and arguments.port is not None:
         raise InputError("--port applies to the page in a browser, not to --out")

@@ -149,7 +149,7 @@ SavedRun = Mapping[str, Any]
 
 
 class RunKeeper(Protocol):
-    """The saved state of one run, as nested values (see common/files.py)."""
+    """The saved state of one run, as nested values (see common/arrays.py)."""
 
     def saved(self) -> SavedRun | None:
         """Return the state from which the run continues; None for a new run."""

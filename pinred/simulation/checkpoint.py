@@ -24,16 +24,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from ..common.arrays import Array, read_only
+from ..common.arrays import Array, pack, read_only, unpack
 from ..common.errors import InputError, OutputError
 from ..common.files import (
     TEMPORARY,
     check_path,
     fingerprint,
     is_file,
-    pack,
     signing_key,
-    unpack,
     write_atomic,
 )
 from ..common.names import quoted_path
@@ -76,7 +74,7 @@ def write_checkpoint(path: Path, content: dict[str, Any]) -> None:
 
     Args:
         path: Name of the file.
-        content: The values; see common/files.py.
+        content: The values; see `pack` in common/arrays.py.
     Raises:
         OutputError: The file cannot be written.
     """

@@ -15,7 +15,7 @@ from .playback.view_options import FILM_FPS, VIEWER, VIEWERS, View, ViewOptions,
 from .plots.by_kind import plot as plot
 
 if TYPE_CHECKING:
-    from .playback.server import Player
+    from .playback.page import Player
 
 
 @checks_arguments
@@ -82,8 +82,7 @@ def play_view(
     Raises:
         InputError: The viewer is unknown.
     """
-    from .playback.page import page
-    from .playback.server import check_port, run, serve
+    from .playback.page import check_port, page, run, serve
 
     if viewer not in VIEWERS:
         raise InputError(f"viewer must be {' or '.join(map(repr, VIEWERS))}, got {viewer!r}")
@@ -166,7 +165,7 @@ def feel(
         SymmetryError: Gravity changes the momenta.
     """
     from .feel.feel_page import feel_page
-    from .playback.server import check_port, serve
+    from .playback.page import check_port, serve
 
     options = _feel_options({"pair": pair, "meshes": meshes})
     check_port(port)

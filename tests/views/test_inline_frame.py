@@ -15,7 +15,7 @@ from headless_browser import Browser
 from PIL import Image
 
 import pinred
-from pinred.views.playback.server import inline_frame, is_notebook
+from pinred.views.playback.page import inline_frame, is_notebook
 
 
 def test_frame_contains_the_page() -> None:

@@ -19,7 +19,7 @@ import pinred
 from pinred.cli import view_commands
 from pinred.cli.main import main
 from pinred.views.motions import play_view
-from pinred.views.playback.server import Player
+from pinred.views.playback.page import Player
 from pinred.views.playback.view_options import View
 
 

@@ -21,6 +21,7 @@ from ...common.errors import InputError, install_command, optional_package
 from ...lie.rotations import rotation
 from ..motion_source import MotionSource
 from .drawn_bodies import drawn_bodies
+from .page import HOST, Player, check_port
 from .playback import playback
 from .scene_nodes import (
     Framing,
@@ -32,7 +33,6 @@ from .scene_nodes import (
     interpolate_placements,
     scene_nodes,
 )
-from .server import HOST, Player, check_port
 from .view_options import View
 
 FOV = math.radians(45.0)  # vertical field of view

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from ...simulation.trajectory import Trajectory
     from ..motion_source import MotionSource
     from .connection_field import Limits, Part, Source
+    from .figures_of_many_runs import MeasuredWork
     from .time_series import Attitudes
-    from .work_against_error import MeasuredWork
 
 DEFAULT_KIND = "shape"
 
