@@ -100,7 +100,7 @@ def test_methods_of_pinred_need_no_numba(
 ) -> None:
     """Bitcode is shipped of all machine code; with an empty cache, it is generated from that."""
     done = run(PROGRAM, *names, cache=tmp_path if is_empty else None)
-    assert done.returncode == 0, f"run `python -m pinred.cli.ship_code`\n{done.stderr}"
+    assert done.returncode == 0, f"run `python tests/helpers/ship_code.py`\n{done.stderr}"
 
 
 def test_method_with_own_coefficients_names_the_extra(tmp_path: Path) -> None:

@@ -14,9 +14,9 @@ import numba
 import numpy as np
 import pytest
 from numba import float64
+from ship_code import find_differences
 
 import pinred
-from pinred.cli.ship_code import find_differences
 from pinred.common.errors import MissingPackageError
 from pinred.common.machine_code import create_machine, parse_bitcode
 from pinred.common.object_cache import ObjectCache
@@ -30,7 +30,7 @@ from pinred.integrators.stepping.numba_functions import extract_bitcode
 from pinred.integrators.stepping.step_loop import Stepper
 
 ROOT = Path(pinred.__file__).parent.parent
-REBUILD = "run `python -m pinred.cli.ship_code`"
+REBUILD = "run `python tests/helpers/ship_code.py`"
 ARGUMENTS = (np.zeros((1, 8)), np.zeros((1, 2)))  # of from_lanes
 # Print the bits of a run, a batch and a state between steps, and whether numba was imported.
 PROGRAM = """
@@ -103,7 +103,7 @@ def test_shipped_code_belongs_to_these_sources(monkeypatch: pytest.MonkeyPatch) 
 def test_shipped_code_is_what_the_sources_compile_to() -> None:
     """A new build has the same files, bit for bit."""
     done = subprocess.run(
-        [sys.executable, "-m", "pinred.cli.ship_code", "--check"], cwd=ROOT, capture_output=True,
+        [sys.executable, "tests/helpers/ship_code.py", "--check"], cwd=ROOT, capture_output=True,
         text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr

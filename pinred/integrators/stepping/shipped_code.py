@@ -1,7 +1,7 @@
 """Code of compiled functions: the bitcode that the package ships, and machine code from it.
 
-`python -m pinred.cli.ship_code` writes the bitcode, in files that are named by a key of all that it
-depends on.  LLVM reads bitcode of older versions, and the code names no CPU, so the same files
+`python tests/helpers/ship_code.py` writes the bitcode, in files that are named by a key of all that
+it depends on.  LLVM reads bitcode of older versions, and the code names no CPU, so the same files
 serve all processors and all versions of llvmlite.  Machine code has wrappers that Python calls.
 """
 

@@ -1,7 +1,8 @@
-"""`python -m pinred.cli.ship_code`: write the bitcode of compiled functions that the package ships.
+"""Write the bitcode of compiled functions that the package ships.
 
-Run it after a change of the integrators or of any other compiled function; `--check` compares
-instead.  It installs the compiler in a temporary folder, so every machine writes the same bitcode.
+Run `python tests/helpers/ship_code.py` after a change of the integrators or of any other compiled
+function; `--check` compares instead.  It installs the compiler in a temporary folder, so every
+machine writes the same bitcode.
 """
 
 from __future__ import annotations
@@ -21,26 +22,26 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis.phases.gait import Gait
-from ..analysis.phases.phase import phase
-from ..analysis.stability.linearised_flow import linearised_flow
-from ..common.errors import InputError
-from ..forces.kinds import Torque
-from ..forces.signals.signal import Hold
-from ..integrators.methods import DOP853, METHODS, Explicit, Tsit5
-from ..integrators.stepping import shipped_code
-from ..integrators.stepping.call_wrapper import ArgumentType, Bitcode
-from ..judge.compare import compare
-from ..kernels.device.device_code import loop_arguments
-from ..kernels.device.few_rows import stepper_with_few_rows
-from ..simulation.flow_map.flow import flow
-from ..simulation.simulate import simulate
-from ..simulation.simulate_many import simulate_many
-from ..system.load import load
-from ..system.system import System
-from ..views.playback.film import SIZE, Frames
-from ..views.playback.view_options import FILM_FPS, View
-from .installation_commands import warm_caches
+from pinred.analysis.phases.gait import Gait
+from pinred.analysis.phases.phase import phase
+from pinred.analysis.stability.linearised_flow import linearised_flow
+from pinred.cli.installation_commands import warm_caches
+from pinred.common.errors import InputError
+from pinred.forces.kinds import Torque
+from pinred.forces.signals.signal import Hold
+from pinred.integrators.methods import DOP853, METHODS, Explicit, Tsit5
+from pinred.integrators.stepping import shipped_code
+from pinred.integrators.stepping.call_wrapper import ArgumentType, Bitcode
+from pinred.judge.compare import compare
+from pinred.kernels.device.device_code import loop_arguments
+from pinred.kernels.device.few_rows import stepper_with_few_rows
+from pinred.simulation.flow_map.flow import flow
+from pinred.simulation.simulate import simulate
+from pinred.simulation.simulate_many import simulate_many
+from pinred.system.load import load
+from pinred.system.system import System
+from pinred.views.playback.film import SIZE, Frames
+from pinred.views.playback.view_options import FILM_FPS, View
 
 # The compiler of all shipped bitcode.  Newer versions of LLVM read bitcode of this one, the oldest
 # that pinred supports, but not conversely.
@@ -56,7 +57,7 @@ def main(words: list[str] | None = None) -> int:
     Returns:
         0, or 1 if the shipped bitcode differs.
     """
-    parser = argparse.ArgumentParser(prog="python -m pinred.cli.ship_code", description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="only compare with new bitcode")
     parser.add_argument("--into", type=Path, default=shipped_code.FOLDER, help="another folder")
     parser.add_argument("--once", action="store_true", help=argparse.SUPPRESS)
@@ -85,10 +86,10 @@ def build(folder: Path) -> None:
     with TemporaryDirectory() as cache, TemporaryDirectory() as compiler:
         install = [sys.executable, "-m", "pip", "install", "--quiet", "--target", compiler]
         subprocess.run([*install, *COMPILER], check=True)
-        package = str(Path(__file__).parent.parent.parent)
+        package = str(Path(__file__).parents[2])
         path = os.pathsep.join([compiler, package, os.environ.get("PYTHONPATH", "")])
         subprocess.run(
-            [sys.executable, "-m", __spec__.name, "--once", "--into", str(folder)],
+            [sys.executable, __file__, "--once", "--into", str(folder)],
             env={**os.environ, "PINRED_CACHE_DIR": cache, "PYTHONPATH": path}, check=True,
         )  # fmt: skip
 
@@ -110,7 +111,7 @@ def compile_missing(folder: Path) -> None:
     Args:
         folder: Folder of shipped bitcode.
     """
-    from ..integrators.stepping import numba_functions
+    from pinred.integrators.stepping import numba_functions
 
     shipped_code.FOLDER = folder
     compile_bitcode = numba_functions.compile_bitcode
@@ -167,7 +168,7 @@ def _without_variables(method: str) -> Any:
 
 def _uncommon(system: System) -> Any:
     """Read a batch, prescribe a joint, linearise a motion, and follow a gait, and more."""
-    from ..laboratory.bench.kernel_timing import kernel_repetitions
+    from pinred.laboratory.bench.kernel_timing import kernel_repetitions
 
     driven: dict[str, Any] = {
         "duration": _DURATION,
