@@ -39,8 +39,7 @@ from ..members.integrate_members import integrate_members
 from ..members.trajectories import Batch
 from ..plan import Plan, Span, spans_between
 from .flow_run import OutcomeAdjoint, Run, resolve_run
-from .initial_map import InitialMap
-from .inputs import Given, motion_of
+from .inputs import Given, InitialMap, motion_of
 from .jumps import jumps_of
 
 _NUMBERS_AT_ONCE = 2**24  # largest number of derivatives that are kept at once
@@ -325,11 +324,10 @@ class Propagator:
             return np.zeros((N, T, self._size(rows), 0))
         flow = self.initial.of_many(states, constants)
         y, parameters, path = self.initial.along_many(states, constants, directions)
-        y0 = flow.y0 if flow.y0.shape[1] else np.zeros((N, 1))
         joined = CompiledFlow(
             self.kernel,
             flow.tables,
-            _with_directions(y0, y),
+            _with_directions(flow.y0, y),
             _with_directions(flow.parameters, parameters),
             np.repeat(flow.path, D, axis=0),
         )
