@@ -54,9 +54,30 @@ _READ_ERRORS = (
 )  # fmt: skip
 
 
+class RecordedStates(OverTime):
+    """States read from a file."""
+
+    path: Path
+    content: State | ShapeState
+
+    @property
+    def outputs(self) -> State | ShapeState:
+        """The states in the file, with time as first axis after members."""
+        return self.content
+
+    @property
+    def _name(self) -> str:
+        return str(self.path)
+
+    @property
+    def t(self) -> Array:
+        """Report times, (T,) [s]."""
+        return self.content.t
+
+
 @checks_arguments
 @dataclass(frozen=True, eq=False)
-class Recording(OverTime):
+class Recording(RecordedStates):
     """A motion read from a file: states at increasing times, and the names of robot and joints.
 
     Attributes:
@@ -83,20 +104,6 @@ class Recording(OverTime):
     def __repr__(self) -> str:
         end = float(self.t[-1])
         return f"Recording({str(self.path)!r}, {self.robot!r}, {len(self.t)} times to {end:g} s)"
-
-    @property
-    def outputs(self) -> State | ShapeState:
-        """The states in the file, with time as first axis."""
-        return self.content
-
-    @property
-    def _name(self) -> str:
-        return str(self.path)
-
-    @property
-    def t(self) -> Array:
-        """Report times, (T,) [s]."""
-        return self.content.t
 
     @cached_property
     def system(self) -> System:

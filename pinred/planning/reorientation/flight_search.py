@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array, FrozenArrays
+from ...common.arrays import Array
 from ...common.errors import InputError, NoOptimum
 from ...forces.signals.signal import Spline
-from ...judge.compare import compare
-from ...judge.verdict import Report
 from ...lie.rotations import (
     conjugate,
     quaternion_exp,
@@ -39,13 +37,14 @@ from ...system.system import System
 from ..optimisation.limits import Limits
 from ..optimisation.objective import TargetAim
 from .flight_program import Bounded, FlightProgram, Problem, Solution
+from .turning_loop import SimulatedPlan
 
 TOLERANCES = (1e-11, 1e-13)  # relative and absolute tolerance of a plan's simulation
 
 
 @checks_arguments
 @dataclass(frozen=True, eq=False, repr=False)
-class FlightPlan(FrozenArrays):
+class FlightPlan(SimulatedPlan):
     """A joint motion in flight, from rest to rest of the joints, with the least effort found.
 
     Attributes:
@@ -104,18 +103,6 @@ class FlightPlan(FrozenArrays):
             self.system, x0=self.shapes[0], momentum=self.momentum, duration=self.duration,
             prescribed=self.prescribed, rtol=rtol, atol=atol,
         )  # fmt: skip
-
-    @cached_property
-    def report(self) -> Report:
-        """Comparison of the trajectory with full ABA under the driving torques."""
-        return compare(self.trajectory)
-
-    @property
-    def missed(self) -> float:
-        """Remaining rotation to the target [rad] in the simulation."""
-        group, pose = self.system.group, self.trajectory.pose
-        motion = group.compose(group.inverse(pose[0]), pose[-1])
-        return float(np.linalg.norm(self.aim.error(motion)[0]))
 
     def __repr__(self) -> str:
         remain = f"{self.remaining:.1e} rad remain"

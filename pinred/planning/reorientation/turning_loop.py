@@ -9,6 +9,7 @@ torques have peaks that limit its duration.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -55,9 +56,34 @@ from ..optimisation.objective import TargetAim, rotation_between, torques
 TOLERANCES = (1e-12, 1e-14)  # relative and absolute tolerance of a plan's simulation
 
 
+class SimulatedPlan(FrozenArrays):
+    """A joint motion that rotates the base to a target, and its simulation."""
+
+    system: System
+    aim: TargetAim
+
+    @property
+    @abstractmethod
+    def trajectory(self) -> Trajectory:
+        """The motion, simulated with a free base."""
+
+    @cached_property
+    def report(self) -> Report:
+        """Comparison of the trajectory with full ABA under the driving torques."""
+        return compare(self.trajectory)
+
+    @property
+    def missed(self) -> float:
+        """Remaining rotation to the target [rad] in the simulation."""
+        group = self.system.group
+        pose = self.trajectory.pose
+        motion = group.compose(group.inverse(pose[0]), pose[-1])
+        return float(np.linalg.norm(self.aim.error(motion)[0]))
+
+
 @checks_arguments
 @dataclass(frozen=True, eq=False, repr=False)
-class TurnPlan(FrozenArrays):
+class TurnPlan(SimulatedPlan):
     """A reorientation: a loop of the joints, repeated from rest to rest.
 
     Attributes:
@@ -113,19 +139,6 @@ class TurnPlan(FrozenArrays):
             self.system, x0=start, momentum=self.momentum, duration=self.duration,
             prescribed=prescribed, rtol=rtol, atol=atol,
         )  # fmt: skip
-
-    @cached_property
-    def report(self) -> Report:
-        """Comparison of the trajectory with full ABA under the driving torques."""
-        return compare(self.trajectory)
-
-    @property
-    def missed(self) -> float:
-        """Remaining rotation to the target [rad] in the simulation."""
-        group = self.system.group
-        pose = self.trajectory.pose
-        motion = group.compose(group.inverse(pose[0]), pose[-1])
-        return float(np.linalg.norm(self.aim.error(motion)[0]))
 
     @property
     def turned(self) -> Array:

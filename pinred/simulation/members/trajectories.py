@@ -26,7 +26,14 @@ from ...system.state_fields import FIELDS, ShapeState, State, arrays_of, axis_le
 from ...system.system import System, nominal
 from ..impacts import MemberImpacts, impact_arrays, member_table_in
 from ..over_time import OverTime, read_zarr, robot_arrays, write_zarr
-from ..recording import MOST_BYTES, ORIGIN, Recording, load_recorded_robot, read_arrays
+from ..recording import (
+    MOST_BYTES,
+    ORIGIN,
+    RecordedStates,
+    Recording,
+    load_recorded_robot,
+    read_arrays,
+)
 from ..simulate import trajectory_of
 from ..trajectory import Cost, Trajectory
 
@@ -382,7 +389,7 @@ def _scene_arrays(scenes: Sequence[Scene]) -> dict[str, Any]:
 
 @checks_arguments
 @dataclass(frozen=True, eq=False)
-class RecordedMembers(OverTime):
+class RecordedMembers(RecordedStates):
     """Motions of one system, read from a file; the fields of State have shape (N, T, …).
 
     Attributes:
@@ -432,20 +439,6 @@ class RecordedMembers(OverTime):
         names = (self.path, self.robot, self.group, self.joints)
         impacts = self.impacts.of_member(member)
         return Recording(*names, states, self.origin, confirmed=True, impacts=impacts)
-
-    @property
-    def outputs(self) -> State | ShapeState:
-        """The states in the file, with members on the first axis."""
-        return self.content
-
-    @property
-    def _name(self) -> str:
-        return str(self.path)
-
-    @property
-    def t(self) -> Array:
-        """Report times, (T,) [s]."""
-        return self.content.t
 
     @cached_property
     def system(self) -> System:
