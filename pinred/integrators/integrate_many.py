@@ -17,9 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..common.arrays import Array, FrozenArrays, as_floats, positive, read_only
 from ..common.compile_ahead import available_processors
 from ..common.errors import InputError, ShapeError
-from .integrate import Tangent, begun_by, check_kernel, check_state, give_tangent
+from .integrate import Tangent, begun_by, check_kernel, check_state, checked_times, give_tangent
 from .methods.method import Method, stepper_of
-from .solution import checked_times
 from .stepping.run_state import (
     DIVERGED,
     DONE,
@@ -29,9 +28,9 @@ from .stepping.run_state import (
     TOO_MANY,
     UNDERFLOW,
     Canonical,
+    Quaternions,
     copied,
 )
-from .stepping.state_rows import Quaternions
 from .stepping.step_loop import OUTCOME, Batch, Stepper
 
 STATUS = {

@@ -1,7 +1,7 @@
 """Kernels of methods with multipliers: rates of the open tree, and code that closes the loops.
 
 A method with multipliers (see Method.multipliers) keeps φ(x) = 0 at step ends by impulses Jᵀλ at
-the start of a step, see integrators/variational/lagrange_poincare.py.  The machine code
+the start of a step, see integrators/implicit/lagrange_poincare.py.  The machine code
 
     (y₀, parameters, y₁, (γ, c, Λ)) → (γ', c', Λ')
 

@@ -32,7 +32,7 @@ from ..common.memo import once
 from ..common.object_cache import ObjectCache, cache_key
 from ..forces.force_model import ForceModel
 from ..integrators.stepping import linear_systems
-from ..integrators.stepping.kernel_call import SEEDS
+from ..integrators.stepping.intrinsics import SEEDS
 from ..reduction.tree.articulated_sweep import sweep_jacobian
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.identical_branches import Lanes, Mark

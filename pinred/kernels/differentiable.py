@@ -30,7 +30,7 @@ import numpy as np
 from ..common.arrays import Array, central_differences
 from ..common.errors import InputError, KernelMismatch
 from ..common.machine_code import NativeCode
-from ..integrators.stepping.kernel_call import SEEDS
+from ..integrators.stepping.intrinsics import SEEDS
 from ..reduction.tree.identical_branches import Lanes, Mark
 from ..reduction.tree.scalars import Scalar, add, mul
 from .derived_code import derived_code, round_off_near

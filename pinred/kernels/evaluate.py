@@ -8,7 +8,7 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..integrators.stepping.compiling import compiled
-from ..integrators.stepping.kernel_call import (
+from ..integrators.stepping.intrinsics import (
     SEEDS,
     call,
     call_adjoint,

@@ -31,7 +31,7 @@ from ..common.names import quoted_path
 from ..common.object_cache import cache_key
 from ..common.packed_values import pack, unpack
 from ..common.waiting import cleaning_up, held_interrupt
-from ..integrators.solution import SavedRun
+from ..integrators.integrate import SavedRun
 
 if TYPE_CHECKING:
     from .compiled.compiled_flow import CompiledFlow

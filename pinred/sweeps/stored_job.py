@@ -39,6 +39,8 @@ _MOVED = {
     "pinred.forces.signals.formulas": "pinred.forces.signals.signal",
     "pinred.forces.signals.tabulated": "pinred.forces.signals.signal",
     "pinred.forces.wrench": "pinred.forces.kinds",
+    "pinred.integrators.methods.explicit_methods": "pinred.integrators.methods.method",
+    "pinred.integrators.methods.implicit_methods": "pinred.integrators.methods.method",
     "pinred.common.default_marker": "pinred.common.argument_kinds",
     "pinred.sweeps.samplers": "pinred.sweeps.distributions",
     "pinred.system.actuator": "pinred.system.robot_file_contents",

@@ -64,7 +64,7 @@ from dataclasses import dataclass
 from functools import cache
 import numpy as np
 import pinred
-from pinred.integrators.explicit.tableau import Tableau
+from pinred.integrators.explicit.runge_kutta import Tableau
 from pinred.integrators.methods import Explicit
 
 @dataclass(frozen=True)

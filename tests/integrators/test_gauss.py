@@ -19,11 +19,10 @@ from pinred import DOP853, AdaptiveGauss, Gauss
 from pinred.common.arrays import Array
 from pinred.common.errors import NoConvergence, NonFiniteState, TooManySteps
 from pinred.common.machine_code import NativeCode, load_object
-from pinred.integrators.gauss import fixed_step as gauss
-from pinred.integrators.gauss.tables import tables
-from pinred.integrators.integrate import integrate
+from pinred.integrators.implicit import gauss_fixed_step as gauss
+from pinred.integrators.implicit.gauss_stages import tables
+from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import integrate_many
-from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_state
 from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.kernels import derived_code

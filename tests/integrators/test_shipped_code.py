@@ -20,12 +20,12 @@ from pinred.cli.ship_code import find_differences
 from pinred.common.errors import MissingPackageError
 from pinred.common.machine_code import create_machine, parse_bitcode
 from pinred.common.object_cache import ObjectCache
+from pinred.integrators.implicit import radau_iia
 from pinred.integrators.methods import METHODS
-from pinred.integrators.radau import radau_iia
 from pinred.integrators.stepping import numba_functions, shipped_code
 from pinred.integrators.stepping.call_wrapper import argument_type
 from pinred.integrators.stepping.compiling import CompiledFunction, compiled
-from pinred.integrators.stepping.kernel_call import from_lanes
+from pinred.integrators.stepping.intrinsics import from_lanes
 from pinred.integrators.stepping.numba_functions import extract_bitcode
 from pinred.integrators.stepping.step_loop import Stepper
 

@@ -27,7 +27,7 @@ from pinred.integrators.methods import METHODS
 from pinred.integrators.stepping import shipped_code
 from pinred.integrators.stepping.call_wrapper import argument_type, plain_value
 from pinred.integrators.stepping.compiling import CompiledFunction
-from pinred.integrators.stepping.kernel_call import from_lanes
+from pinred.integrators.stepping.intrinsics import from_lanes
 from pinred.simulation.compiled import code_ahead
 from pinred.simulation.compiled.code_ahead import divide
 

@@ -24,8 +24,9 @@ STORED = {
     "pinred.forces.signals.attitude_signal": "Attitude",
     "pinred.forces.signals.signal": "Constant Expression Fourier Hold Linear Spline",
     "pinred.forces.tracking": "ComputedTorque PD",
-    "pinred.integrators.methods.explicit_methods": "DOP853 RKMK4 Tsit5",
-    "pinred.integrators.methods.implicit_methods": "AdaptiveGauss Gauss Radau Variational",
+    "pinred.integrators.methods.method": (
+        "AdaptiveGauss DOP853 Gauss RKMK4 Radau Tsit5 Variational"
+    ),
     "pinred.lie.planar_groups": "_R _SE2 _SO2",
     "pinred.lie.r_se2": "_RxSE2",
     "pinred.lie.spatial_groups": "_SE3 _SO3",
@@ -50,6 +51,8 @@ FORMER = {
     "pinred.forces.signals.formulas": "Constant Expression Fourier",
     "pinred.forces.signals.tabulated": "Hold Linear Spline",
     "pinred.forces.wrench": "Wrench",
+    "pinred.integrators.methods.explicit_methods": "DOP853 RKMK4 Tsit5",
+    "pinred.integrators.methods.implicit_methods": "AdaptiveGauss Gauss Radau Variational",
     "pinred.common.default_marker": "Default",
     "pinred.sweeps.samplers": "PointSequence",
     "pinred.system.actuator": "Actuator",

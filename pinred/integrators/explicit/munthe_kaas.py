@@ -15,15 +15,20 @@ from math import cos, sin, sqrt, tan
 
 from ...common.arrays import Array
 from ..stepping.compiling import compiled, inlined
-from ..stepping.kernel_call import call
-from ..stepping.run_state import DONE, NOT_FINITE, Run, copy_an_end, keep_state, quaternions_of
-from ..stepping.state_rows import (
+from ..stepping.intrinsics import call
+from ..stepping.run_state import (
+    DONE,
     NEW,
+    NOT_FINITE,
     Quaternions,
+    Run,
     Y,
+    copy_an_end,
     first_entries,
     first_not_finite,
+    keep_state,
     padded_rows,
+    quaternions_of,
     unit_alone,
 )
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops

@@ -20,6 +20,7 @@ from .run_state import (
     DONE,
     ENDS,
     FULL,
+    NEW,
     NOT_FINITE,
     PAUSED,
     STEP,
@@ -28,10 +29,11 @@ from .run_state import (
     WANTED,
     Run,
     Runs,
+    Y,
     keep_state,
     quaternions_of,
+    unit_alone,
 )
-from .state_rows import NEW, Y, unit_alone
 
 _EPS = float(np.finfo(float).eps)
 

@@ -26,7 +26,7 @@ from ...integrators.integrate import Integration
 from ...integrators.methods.method import stepper_of
 from ...integrators.run_derivatives import run_back
 from ...integrators.stepping.compiling import compiled
-from ...integrators.stepping.kernel_call import SEEDS, call, call_slopes
+from ...integrators.stepping.intrinsics import SEEDS, call, call_slopes
 from ...integrators.stepping.linear_systems import jacobian
 from ...kernels.build import build_kernel
 from ...kernels.derived_code import jacobian_code, tangent_of

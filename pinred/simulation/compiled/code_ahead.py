@@ -32,8 +32,7 @@ from ...integrators.stepping.call_wrapper import (
     objects_are_as_expected,
     plain_value,
 )
-from ...integrators.stepping.run_state import new_run
-from ...integrators.stepping.state_rows import Replay
+from ...integrators.stepping.run_state import Replay, new_run
 
 _LANES = 8  # members of a batch at once, unless the robot is small
 _requested: set[tuple[str, type[Method], int]] = set()  # kinds of calls, methods and their orders
@@ -87,11 +86,11 @@ def expect_tangents(method: Method, count: int) -> None:
     frozen, replay, matrix = read_only(np.empty((1, 1))), _replay(), np.empty((1, 1))
     tangents = (matrix[0], matrix, matrix, matrix, np.empty((1, 1, 1)))
     if not isinstance(method, Explicit):
-        from ...integrators.gauss import sensitivities as gauss
+        from ...integrators.implicit import gauss_sensitivities as gauss
 
         _expect(gauss.forward, replay, 1, 1, frozen, tangents, gauss.sensitivity_rows(1, 1))
         return
-    from ...integrators.explicit import forward_sensitivities as explicit
+    from ...integrators.explicit import run_sensitivities as explicit
 
     weights = explicit.weights_of(type(method).tableau())
     if count == 1:
@@ -113,14 +112,13 @@ def expect_cotangents(method: Method) -> None:
     matrix, frozen = np.empty((1, 1)), read_only(np.empty((1, 1)))
     back = (frozen, matrix[0], matrix, matrix[0], matrix[0])
     if isinstance(method, Explicit):
-        from ...integrators.explicit.adjoint_sweep import adjoint_sweep_of
-        from ...integrators.explicit.forward_sensitivities import weights_of
+        from ...integrators.explicit.run_sensitivities import adjoint_sweep_of, weights_of
 
         tableau = type(method).tableau()
         (_, dense, _), adjoint = weights_of(tableau), adjoint_sweep_of(tableau)
         _expect(adjoint.sweep, _replay(), 1, dense, back, adjoint.rows(1), matrix[0])
     else:
-        from ...integrators.gauss.sensitivities import reverse, sensitivity_rows
+        from ...integrators.implicit.gauss_sensitivities import reverse, sensitivity_rows
 
         _expect(reverse, _replay(), 1, 1, 1, back, sensitivity_rows(1, 1))
 

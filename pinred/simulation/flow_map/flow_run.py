@@ -11,9 +11,9 @@ import numpy as np
 
 from ...common.arrays import Array, read_only
 from ...common.errors import AccuracyWarning
-from ...integrators.solution import Solution
+from ...integrators.integrate import Solution
 from ...integrators.stepping.compiling import compiled
-from ...integrators.stepping.kernel_call import call, call_adjoint
+from ...integrators.stepping.intrinsics import call, call_adjoint
 from ...kernels.flow_functions import Row, outcome_of, reference_in, reference_size
 from ...kernels.kernel import Kernel
 from ...system.coordinates import Indices

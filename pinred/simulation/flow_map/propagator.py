@@ -16,7 +16,7 @@ import numpy as np
 from ...common.arrays import Array, read_only
 from ...common.errors import AccuracyWarning, InputError, IntegrationError
 from ...forces.switch_times import time_within
-from ...integrators.integrate import Integration
+from ...integrators.integrate import Integration, Solution
 from ...integrators.methods import Explicit, Method
 from ...integrators.run_derivatives import (
     SmoothField,
@@ -24,7 +24,6 @@ from ...integrators.run_derivatives import (
     run_along,
     run_back,
 )
-from ...integrators.solution import Solution
 from ...kernels.derived_code import expect_code, tangent_of
 from ...kernels.evaluate import call_in_batches, call_value, evaluate
 from ...kernels.flow_functions import Row, outcome_of, rate_of, reference_in, sizes_of

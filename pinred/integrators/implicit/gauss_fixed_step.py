@@ -18,22 +18,35 @@ from ..stepping.run_state import (
     DIVERGED,
     DONE,
     FIXED_POINT,
+    NEW,
     NEWTON,
     NOT_FINITE,
     STEP,
     WANTED,
     Run,
+    Y,
     copy_an_end,
+    copy_row,
+    first_not_finite,
     keep_state,
     quaternions_of,
+    unit_alone,
 )
-from ..stepping.state_rows import NEW, Y, copy_row, first_not_finite, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
-from .newton import MAIN, prepare, refine, rows_of_stages
-from .newton import SUB as REPORT
-from .stages import (
+from .gauss_newton import MAIN, prepare, refine, rows_of_stages
+from .gauss_newton import SUB as REPORT
+from .gauss_stages import (
+    CARRY,
+    GUESS,
+    INFO,
+    NEXT_CARRY,
     NO_SOLUTION,
+    OLD,
+    RATE,
     ROUND_OFF,
+    SUB,
+    WITHIN,
+    L,
     add_increments,
     finish,
     guess,
@@ -42,7 +55,6 @@ from .stages import (
     prepare_guess,
     scale_by_largest,
 )
-from .tables import CARRY, GUESS, INFO, NEXT_CARRY, OLD, RATE, SUB, WITHIN, L
 
 _STAY = 64  # number of steps with Newton's method before fixed-point iteration is tried again
 _SEGMENTS = 64  # largest number of substeps into which a step to a report time is split

@@ -22,17 +22,34 @@ from ..stepping.run_state import (
     NOT_FINITE,
     STAGES_KEPT,
     Run,
+    Y,
+    entry_size,
     first_step_by_rate,
     keep_state,
+    lanes_of,
     quaternions_of,
     reject_step,
+    unit_alone,
 )
-from ..stepping.state_rows import Y, entry_size, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, loops
-from .fixed_step import continue_from_end, load_step, not_finite_in, write_inside_state
-from .newton import rows_of_stages
-from .stages import NO_SOLUTION, finish, guess, guess_evenly, iterate, prepare_guess
-from .tables import CARRY, GUESS, INFO, LAST, OLD, RATE, SCALE, L, lanes_of
+from .gauss_fixed_step import continue_from_end, load_step, not_finite_in, write_inside_state
+from .gauss_newton import rows_of_stages
+from .gauss_stages import (
+    CARRY,
+    GUESS,
+    INFO,
+    LAST,
+    NO_SOLUTION,
+    OLD,
+    RATE,
+    SCALE,
+    L,
+    finish,
+    guess,
+    guess_evenly,
+    iterate,
+    prepare_guess,
+)
 
 _SAFETY, _SHRINK, _GROW, _HALF = 0.9, 0.25, 4.0, 0.5
 _ORDER = 17.0  # exponent p of the error of one step, which is proportional to h^p
