@@ -148,8 +148,8 @@ def test_cache_stamp_depends_on_all_sources() -> None:
 
 @pytest.mark.parametrize(
     ("name", "is_compiled"),
-    {"implicit/gauss_stages.py": True, "stepping/step_loop.py": True, "explicit/runge_kutta.py": True,
-     "methods/method.py": False, "integrate.py": False}.items(),
+    {"implicit/gauss_stages.py": True, "stepping/step_loop.py": True,
+     "explicit/runge_kutta.py": True, "methods/method.py": False, "integrate.py": False}.items(),
 )  # fmt: skip
 def test_stamp_covers_sources_of_compiled_functions(
     name: str, is_compiled: bool, tmp_path: Path

@@ -25,8 +25,8 @@ from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.stepping import run_state
 from pinred.judge.reference_solution import FullMotion, FullState
-from pinred.kernels import derived_code
-from pinred.kernels.derived_code import tangent_of, wide_rate
+from pinred.kernels import build
+from pinred.kernels.build import tangent_of, wide_rate
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.machine.native import compile_object
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
@@ -459,7 +459,7 @@ def test_two_threads_share_compiled_code(
         codes.append(make(kernel))  # what another thread does meanwhile
         return load_object(code, name)
 
-    monkeypatch.setattr(derived_code, "load_object", load)
+    monkeypatch.setattr(build, "load_object", load)
     assert make(kernel) is codes[0]
     assert make(kernel) is codes[0]
 

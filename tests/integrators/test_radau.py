@@ -36,8 +36,8 @@ from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.linear_systems import factor, factor_complex, solve, solve_complex
 from pinred.judge.reference_solution import FullMotion, FullState
-from pinred.kernels import derived_code as tangent
-from pinred.kernels.derived_code import jacobian_of, tangent_of
+from pinred.kernels import build as tangent
+from pinred.kernels.build import jacobian_of, tangent_of
 from pinred.kernels.machine import native
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow

@@ -10,7 +10,7 @@ import pytest
 
 import pinred
 from pinred.common import compile_ahead, object_cache
-from pinred.kernels import derived_code
+from pinred.kernels import build
 from pinred.kernels.machine.native import lowered
 
 
@@ -20,7 +20,7 @@ def test_derivatives_use_the_code_that_is_expected(
 ) -> None:
     """With an empty cache, several codes are generated ahead, and each of them is used."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path))
-    for module in (object_cache, derived_code):
+    for module in (object_cache, build):
         monkeypatch.setattr(module, "spare_processors", lambda: 1)
     begun: list[Any] = []
 

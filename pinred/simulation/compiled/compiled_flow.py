@@ -25,16 +25,13 @@ from ...forces.force_numbers import BaseInSpace, SpanNumbers
 from ...forces.switch_times import time_within
 from ...integrators.methods import Method
 from ...integrators.stepping.compiling import compiled
-from ...kernels.build import build_kernel
-from ...kernels.closing_code import with_multipliers
-from ...kernels.derived_code import tangent_of, wide_rate
-from ...kernels.evaluate import evaluate, evaluate_row, evaluate_runs
+from ...kernels.build import build_kernel, tangent_of, wide_rate, with_multipliers
 from ...kernels.initial_conditions import (
     InitialConditions,
     InitialConditionsKernel,
     initial_conditions_kernel,
 )
-from ...kernels.kernel import Kernel, Layout, in_given_order
+from ...kernels.kernel import Kernel, Layout, evaluate, evaluate_row, evaluate_runs, in_given_order
 from ...reduction.base_parts import into_body, root_of
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start

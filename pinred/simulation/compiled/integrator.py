@@ -31,7 +31,7 @@ from ...integrators.integrate import Integration, Parts, RunKeeper, Solution, in
 from ...integrators.methods import EqualSteps, ErrorControl, Method
 from ...integrators.methods.method import registers_of
 from ...integrators.thinned_run import MOST_COPIES, ThinnedIntegration, ThinnedSolution
-from ...kernels.derived_code import tangent_of
+from ...kernels.build import tangent_of
 from ...kernels.kernel import Kernel
 from ...reduction.canonical_form import lost_inertia
 from ...scene.scene import Scene

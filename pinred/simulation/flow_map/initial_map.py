@@ -7,11 +7,10 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...forces.force_numbers import Tables
-from ...kernels.derived_code import expect_code
-from ...kernels.evaluate import call_value, evaluate
+from ...kernels.build import expect_code
 from ...kernels.flow_functions import initial_conditions_of
 from ...kernels.initial_conditions import TwistOrMomentum
-from ...kernels.kernel import Kernel
+from ...kernels.kernel import Kernel, call_value, evaluate
 from ..compiled.compiled_flow import CompiledFlow
 from .inputs import Given
 

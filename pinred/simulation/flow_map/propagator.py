@@ -24,10 +24,9 @@ from ...integrators.run_derivatives import (
     run_along,
     run_back,
 )
-from ...kernels.derived_code import expect_code, tangent_of
-from ...kernels.evaluate import call_in_batches, call_value, evaluate
+from ...kernels.build import expect_code, tangent_of
 from ...kernels.flow_functions import Row, outcome_of, rate_of, reference_in, sizes_of
-from ...kernels.kernel import Outputs, in_given_order
+from ...kernels.kernel import Outputs, call_in_batches, call_value, evaluate, in_given_order
 from ...system.coordinates import Indices
 from ...system.state_fields import Outcome, ShapeState, State, arrays_of, map_arrays
 from ...system.system import System
