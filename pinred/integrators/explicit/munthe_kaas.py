@@ -11,6 +11,7 @@ output interpolates y and u by cubic Hermite polynomials.
 
 from __future__ import annotations
 
+from functools import partial
 from math import cos, sin, sqrt, tan
 
 from ...common.arrays import Array
@@ -199,5 +200,5 @@ STEPPER = Stepper(
     loops(
         "RKMK4", Hooks(begin_run, equal_steps, attempt_step, accept_step, write_state, load_step)
     ),
-    lambda n, tangent: padded_rows(ROWS, n),  # noqa: ARG005
+    partial(padded_rows, ROWS),
 )

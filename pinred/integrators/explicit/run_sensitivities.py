@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -409,4 +410,4 @@ def adjoint_sweep_of(tableau: Tableau) -> AdjointSweep:
     )
     bindings.add(pull_back_report, compiled)
     sweep = bindings.add(sweep_back, compiled)
-    return AdjointSweep(sweep, lambda n: padded_rows(RATES + 3 * size, n))
+    return AdjointSweep(sweep, partial(padded_rows, RATES + 3 * size))

@@ -14,6 +14,7 @@ so that repeating a step from this state reproduces it bit for bit.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from runpy import run_path
@@ -383,7 +384,7 @@ def make_stepper(name: str, order: int, tableau: Tableau) -> Stepper:
     )  # fmt: skip
     return Stepper(
         loops(prefix, Hooks(*map(bindings.add, hooks))),
-        lambda n, tangent: padded_rows(rows, n),  # noqa: ARG005
+        partial(padded_rows, rows),
         stages=tableau.stages,
     )
 

@@ -10,6 +10,7 @@ error of the method, of order 16, is proportional to its square.
 
 from __future__ import annotations
 
+from functools import partial
 from math import exp, log, sqrt
 
 import numpy as np
@@ -33,7 +34,6 @@ from ..stepping.run_state import (
 )
 from ..stepping.step_loop import Hooks, Stepper, loops
 from .gauss_fixed_step import continue_from_end, load_step, not_finite_in, write_inside_state
-from .gauss_newton import rows_of_stages
 from .gauss_stages import (
     CARRY,
     GUESS,
@@ -49,6 +49,7 @@ from .gauss_stages import (
     guess_evenly,
     iterate,
     prepare_guess,
+    work_rows,
 )
 
 _SAFETY, _SHRINK, _GROW, _HALF = 0.9, 0.25, 4.0, 0.5
@@ -187,4 +188,4 @@ LOOPS = loops(
 @once_for_all
 def adaptive_stepper(stages: int) -> Stepper:
     """Return the stepper with step control, for a number of stages."""
-    return Stepper(LOOPS, rows_of_stages(stages), stages=lanes_of(stages))
+    return Stepper(LOOPS, partial(work_rows, stages), stages=lanes_of(stages))

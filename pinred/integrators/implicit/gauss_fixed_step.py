@@ -7,6 +7,8 @@ of a shorter step of the same order.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from ...common.arrays import Array
@@ -33,7 +35,7 @@ from ..stepping.run_state import (
     unit_alone,
 )
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
-from .gauss_newton import MAIN, prepare, refine, rows_of_stages
+from .gauss_newton import MAIN, newton_rows, prepare, refine
 from .gauss_newton import SUB as REPORT
 from .gauss_stages import (
     CARRY,
@@ -54,6 +56,7 @@ from .gauss_stages import (
     iterate,
     prepare_guess,
     scale_by_largest,
+    work_rows,
 )
 
 _STAY = 64  # number of steps with Newton's method before fixed-point iteration is tried again
@@ -275,4 +278,5 @@ LOOPS = loops(
 @once_for_all
 def fixed_stepper(stages: int, *, needs_tangent: bool) -> Stepper:
     """Return the stepper with steps of equal length, for a number of stages."""
-    return Stepper(LOOPS, rows_of_stages(stages), needs_tangent=needs_tangent)
+    rows, wide_rows = partial(work_rows, stages), partial(newton_rows, stages)
+    return Stepper(LOOPS, rows, needs_tangent=needs_tangent, newton_rows=wide_rows)

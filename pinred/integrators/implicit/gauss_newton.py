@@ -9,7 +9,6 @@ so the iteration converges linearly and continues to round-off, like fixed-point
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -68,20 +67,14 @@ def pairs(stages: int) -> Array:
     return read_only(table)
 
 
-def rows_of_stages(stages: int) -> Callable[[int, bool], Array]:
-    """Return the function of (n, tangent) that allocates the work rows (see Stepper.rows)."""
-
-    def rows(n: int, tangent: bool) -> Array:
-        if not tangent:
-            return work_rows(stages, n, 0)
-        wide, p = _wide(n), (stages + 1) // 2
-        numbers = p * _ENTRY + (2 * SEEDS + 2) * wide + 2 * (p + n + 2 * n * p) * wide
-        work = work_rows(stages, n, numbers)
-        table = pairs(stages)
-        work.reshape(-1)[ROWS * work.shape[1] :][: table.size] = table.ravel()
-        return work
-
-    return rows
+def newton_rows(stages: int, n: int) -> Array:
+    """Allocate the work rows for n entries of the state, with space for Newton's method."""
+    wide, p = _wide(n), (stages + 1) // 2
+    numbers = p * _ENTRY + (2 * SEEDS + 2) * wide + 2 * (p + n + 2 * n * p) * wide
+    work = work_rows(stages, n, numbers)
+    table = pairs(stages)
+    work.reshape(-1)[ROWS * work.shape[1] :][: table.size] = table.ravel()
+    return work
 
 
 @compiled

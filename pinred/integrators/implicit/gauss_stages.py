@@ -98,7 +98,7 @@ MU, GUESS, WITHIN, B, C, LAST, BARY, INFO = range(12, 20)
 ROWS = 20
 
 
-def work_rows(stages: int, n: int, behind: int) -> Array:
+def work_rows(stages: int, n: int, behind: int = 0) -> Array:
     """Allocate the work rows of a step and store the tables of the method in them.
 
     Args:

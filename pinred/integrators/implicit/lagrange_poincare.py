@@ -279,5 +279,5 @@ STEPPER = Stepper(
         "Variational",
         Hooks(begin_run, equal_steps, attempt_step, accept_step, write_state),
     ),
-    lambda n, tangent: padded_rows(ROWS, max(n + 1, LEAST)),  # noqa: ARG005
+    lambda n: padded_rows(ROWS, max(n + 1, LEAST)),
 )

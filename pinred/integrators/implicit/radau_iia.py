@@ -496,7 +496,7 @@ STEPPER = Stepper(
             begin_run, next_end_time, attempt_step, accept_step, write_state, load_step, store_end
         ),
     ),
-    lambda n, tangent: np.zeros((MATRIX + 5 * n, -(-n // SEEDS) * SEEDS)),  # noqa: ARG005
+    lambda n: np.zeros((MATRIX + 5 * n, -(-n // SEEDS) * SEEDS)),
     kept=KEPT,
     needs_tangent=True,
 )

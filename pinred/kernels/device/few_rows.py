@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -313,7 +314,7 @@ def _stepper(name: str, order: int, tableau: Tableau, tangent: bool) -> Stepper:
     hooks = (begin_run, next_end_time, attempt_step, accept_step, write_state)
     return Stepper(
         loops(prefix, Hooks(*map(bindings.add, hooks))),
-        lambda n, tangent: padded_rows(rows.count, n),  # noqa: ARG005
+        partial(padded_rows, rows.count),
     )
 
 
