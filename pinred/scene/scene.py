@@ -25,7 +25,7 @@ from ..common.argument_kinds import checks_arguments, is_given
 from ..common.arrays import Array, copied, positive, read_only, vector, vector_or_zero, whole
 from ..common.errors import InputError
 from ..common.html import card, line, numbers, table
-from ..common.memo import recent
+from ..common.memo import once, recent
 from ..common.names import brief, one_of
 from ..common.parameter import Parameter, by_name
 from ..forces.controller import Controller
@@ -385,6 +385,9 @@ class Scene(SceneFields):
     @property
     def left_out(self) -> str:
         """Sentences about forces of the robot's file that do not act; empty if all of them act."""
+        return once(self.shared, "left out", self._left_out)
+
+    def _left_out(self) -> str:
         passive = passive_left_out(self.system, passive=self.passive, friction=self.friction)
         actuators = actuators_left_out(self.system, self.controls)
         return "; ".join(text for text in (passive, actuators) if text)
