@@ -92,7 +92,7 @@ def add_run_arguments(sub: argparse.ArgumentParser) -> None:
 def run_run(arguments: argparse.Namespace) -> int:
     """Run the command.  Returns 0, or 1 if a comparison does not pass."""
     if arguments.schema:
-        from ..scene.toml.documents import scene_schema
+        from ..scene.toml.reader import scene_schema
 
         print(json.dumps(scene_schema(), indent=2, ensure_ascii=False))
         return 0
