@@ -111,8 +111,8 @@ from .scene.event import Event as Event
 from .scene.scene import Scene as Scene
 from .scene.stop import BallStop as BallStop
 from .scene.stop import Stop as Stop
-from .scene.toml.documents import scene_schema as scene_schema
 from .scene.toml.reader import load_scene as load_scene
+from .scene.toml.reader import scene_schema as scene_schema
 from .simulation.balances import EnergyBalance as EnergyBalance
 from .simulation.balances import MomentumBalance as MomentumBalance
 from .simulation.contact.capture import Capture as Capture

@@ -14,14 +14,13 @@ import numpy as np
 
 from ..common.arrays import Array, read_only
 from ..common.errors import InputError, NoConvergence
-from .explicit import forward_sensitivities as explicit
-from .explicit.adjoint_sweep import adjoint_sweep_of
-from .explicit.forward_sensitivities import weights_of
-from .gauss import sensitivities as gauss
+from .explicit import run_sensitivities as explicit
+from .explicit.run_sensitivities import adjoint_sweep_of, weights_of
+from .implicit import gauss_sensitivities as gauss
+from .integrate import Solution
 from .methods import AdaptiveGauss, Explicit, Gauss, Method
-from .solution import Solution
-from .stepping.kernel_call import SEEDS, from_lanes, to_lanes
-from .stepping.state_rows import Quaternions, Replay, across
+from .stepping.intrinsics import SEEDS, from_lanes, to_lanes
+from .stepping.run_state import Quaternions, Replay, across
 
 
 @dataclass(frozen=True)

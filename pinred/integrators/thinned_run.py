@@ -14,11 +14,19 @@ import numpy as np
 
 from ..common.arrays import Array, read_only
 from ..common.errors import IntegrationError
-from .integrate import Progress, Tangent, begun_by, failure, give_tangent
+from .integrate import (
+    Progress,
+    RunKeeper,
+    SavedRun,
+    Tangent,
+    begun_by,
+    failure,
+    give_tangent,
+    packed_registers,
+    unpacked_registers,
+)
 from .methods.method import EqualSteps, stepper_of
-from .solution import RunKeeper, SavedRun, packed_registers, unpacked_registers
-from .stepping.run_state import DONE, UNDERFLOW, WANTED, Canonical, Runs, copied
-from .stepping.state_rows import Quaternions, Y
+from .stepping.run_state import DONE, UNDERFLOW, WANTED, Canonical, Quaternions, Runs, Y, copied
 
 MOST_COPIES = 64  # largest number of copies of the registers and work rows of a run
 _COPY_BYTES = 1 << 22  # largest size of these copies [bytes], unless two are larger

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -171,11 +172,13 @@ def audit_states(full: FullState, states: State, work: Array, impulse: Array | N
     joints, radius = full.couplings.values(states.x), totals.radius_of_gyration(qs[0])
     kinetic = totals.kinetic_energy(qs, vs)
     heights = totals.potential_energy(qs) + full.force_potential(states.x)
-    internal = kinetic - totals.com_kinetic_energy(qs, vs)
+    centroidal = totals.centroidal(qs, vs)
+    internal = kinetic - totals.com_kinetic_energy(centroidal)
     body = totals.body_momentum(qs, vs)
-    spatial = totals.momentum(qs, vs, np.zeros(3), about_pivot=True)
+    momentum = partial(totals.momentum, qs, vs, centroidal=centroidal)
+    spatial = momentum(np.zeros(3), about_pivot=True)
     fall = totals.mass * np.outer(states.t, model.gravity.linear)
-    conserved = totals.momentum(qs, vs, fall, about_pivot=is_pivoted)
+    conserved = momentum(fall, about_pivot=is_pivoted)
     potential_unit = _potential_unit(full, qs, states.x, full.joint_error_units(joints, radius))
     # A falling rigid body has no internal motion, so its total energy is the unit.
     fastest = float(kinetic.max())
@@ -350,9 +353,8 @@ def _accelerations(
 def _mass_matrices_and_loads(system: System, q: Array) -> tuple[Array, Array]:
     """Return Pinocchio's mass matrices (T, n, n) and magnitudes of gravity loads (T, n)."""
     model, data = system.sorted_model, system.sorted_data
-    H = np.array([mass_matrix(model, data, q_k) for q_k in q])
     loads = system.sizes_on_shape(gravity_load_sizes(model, data, q))
-    return system.coupled_matrix(H), loads
+    return system.coupled_matrix(mass_matrix(model, data, q)), loads
 
 
 def _inertial_forces(system: System, q0: Array, changes: Array, size: float) -> Array:

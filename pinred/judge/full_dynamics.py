@@ -27,7 +27,7 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..forces.force_model import ForceModel
 from ..forces.force_numbers import BaseInSpace, FunctionBuffers
-from ..kernels.pinocchio_terms import LoadsByPinocchio
+from ..kernels.reference_state import LoadsByPinocchio
 from ..scene.scene import Scene
 from ..simulation.plan import stops_of
 from ..simulation.reduced_flow import Sample

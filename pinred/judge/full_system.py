@@ -265,9 +265,15 @@ class SystemTotals:
         """Compute the potential energy in the model's gravity, (...) [J]."""
         return _at_states(partial(pin.computePotentialEnergy, self._model, self._data), q)
 
-    def com_kinetic_energy(self, q: Array, v: Array) -> Array:
-        """Compute the kinetic energy of the centre of mass along translations, (...) [J]."""
-        momentum = self._centroidal(q, v)[..., :3] @ self._axes[: self._linear, :3].T
+    def com_kinetic_energy(self, centroidal: Array) -> Array:
+        """Compute the kinetic energy of the centre of mass along translations, (...) [J].
+
+        Args:
+            centroidal: Result of `centroidal`.
+        Returns:
+            The energy.
+        """
+        momentum = centroidal[..., :3] @ self._axes[: self._linear, :3].T
         return np.asarray(0.5 * (momentum * momentum).sum(axis=-1) / self.mass)
 
     def body_momentum(self, q: Array, v: Array) -> Array:
@@ -275,7 +281,15 @@ class SystemTotals:
         model, data, zero = self._weightless, self._data, np.zeros(v.shape[-1])
         return _at_states(lambda q, v: pin.rnea(model, data, q, zero, v)[: self._r], q, v)
 
-    def momentum(self, q: Array, v: Array, fall: Array, *, about_pivot: bool) -> Array:
+    def momentum(
+        self,
+        q: Array,
+        v: Array,
+        fall: Array,
+        *,
+        about_pivot: bool,
+        centroidal: Array | None = None,
+    ) -> Array:
         """Compute the momentum along the group's axes in the root's fixed frame.
 
         Args:
@@ -284,10 +298,12 @@ class SystemTotals:
             fall: Linear momentum gained in free fall, subtracted, (..., 3) [N·s].
             about_pivot: Whether angular momentum is taken about the frame's origin; otherwise about
                 the centre of mass.
+            centroidal: Result of `centroidal` at these states; computed if None.
         Returns:
             (..., r) linear, then angular momentum [N·s; N·m·s].
         """
-        momentum, com = np.split(self._centroidal(q, v), [6], axis=-1)
+        moving = self.centroidal(q, v) if centroidal is None else centroidal.copy()
+        momentum, com = np.split(moving, [6], axis=-1)
         if about_pivot:
             arm = com - self._pivot + q[..., : self._linear] @ self._slides.T
             # np.cross is ten times slower.
@@ -295,7 +311,7 @@ class SystemTotals:
         momentum[..., :3] -= fall
         return np.asarray(momentum @ self._axes.T + self._rotors * v[..., : self._r])
 
-    def _centroidal(self, q: Array, v: Array) -> Array:
+    def centroidal(self, q: Array, v: Array) -> Array:
         """Return the momentum about the centre of mass and its position, (..., 9), at the origin.
 
         Both have the world's axes.
@@ -359,9 +375,10 @@ def _at_states(function: Callable[..., Any], *arrays: Array) -> Array:
 
 
 def mass_matrix(model: pin.Model, data: pin.Data, q: Array) -> Array:
-    """Compute Pinocchio's mass matrix (nv, nv); CRBA fills the upper triangle only."""
-    upper = np.triu(pin.crba(model, data, q))
-    return np.asarray(upper + np.triu(upper, 1).T)
+    """Compute Pinocchio's mass matrices (..., nv, nv) at configurations (..., nq)."""
+    # CRBA fills the upper triangle only, of a matrix that its next call overwrites.
+    upper = np.triu(_at_states(lambda q: pin.crba(model, data, q).copy(), q))
+    return np.asarray(upper + np.triu(upper, 1).swapaxes(-2, -1))
 
 
 def gravity_load_sizes(model: pin.Model, data: pin.Data, q: Array) -> Array:

@@ -24,7 +24,8 @@ import pinocchio as pin
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from ..common.arrays import Array
+from ..common.arrays import Array, read_only
+from ..common.memo import once
 from ..simulation.trajectory import Trajectory
 from ..system.coordinates import Indices
 from ..system.system import System
@@ -515,6 +516,10 @@ def defect_units(traj: Trajectory, full: FullState) -> tuple[Array, Array]:
     joint has its own unit. For growth, the unit of the base's rotation rate is limited to the
     initial rate, like the perturbation whose growth is measured.
     """
+    return once(full, (defect_units, traj), lambda: _defect_units(traj, full))
+
+
+def _defect_units(traj: Trajectory, full: FullState) -> tuple[Array, Array]:
     y = full_states(traj, full, traj.motion.knots)
     group, m, r = traj.system.group, full.coordinates, traj.system.r
     linear, size = group.linear, group.size
@@ -536,7 +541,7 @@ def defect_units(traj: Trajectory, full: FullState) -> tuple[Array, Array]:
     sizes[1, joints] = np.maximum(np.abs(y[:, joints]).max(axis=0), least[1, joints])
     initial = np.abs(y[0, spin]).max(initial=0.0)
     sizes[1, spin] = np.minimum(sizes[1, spin], np.maximum(initial, least[1, spin]))
-    of_tolerance, of_motion = np.where(sizes > 0.0, sizes, 1.0)
+    of_tolerance, of_motion = read_only(np.where(sizes > 0.0, sizes, 1.0))
     return of_tolerance, of_motion
 
 

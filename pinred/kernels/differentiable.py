@@ -30,12 +30,11 @@ import numpy as np
 from ..common.arrays import Array, central_differences
 from ..common.errors import InputError, KernelMismatch
 from ..common.machine_code import NativeCode
-from ..integrators.stepping.kernel_call import SEEDS
+from ..integrators.stepping.intrinsics import SEEDS
 from ..reduction.tree.identical_branches import Lanes, Mark
 from ..reduction.tree.scalars import Scalar, add, mul
-from .derived_code import derived_code, round_off_near
-from .evaluate import call_at_each, call_forward, call_in_batches, call_reverse, call_value
-from .kernel import Kernel
+from .build import derived_code, round_off_near
+from .kernel import Kernel, call_at_each, call_forward, call_in_batches, call_reverse, call_value
 from .machine.native import compile_object
 from .reduced_graph import ReducedGraph
 from .validation import ROUND_OFF, require_agreement

@@ -24,7 +24,7 @@ from ..reduction.tree.scalars import quaternion_rate
 from ..system.coordinates import ShapeSpace
 from ..system.state_fields import Outcome, derivative_rows
 from ..system.system import System
-from .derived_code import round_off_near
+from .build import round_off_near
 from .differentiable import Differentiable, Sample, values_near
 from .initial_conditions import TwistOrMomentum, initial_conditions_graph, initial_conditions_kernel
 from .kernel import Kernel, Layout, outputs_of

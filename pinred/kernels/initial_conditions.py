@@ -31,7 +31,7 @@ from ..reduction.tree.momenta import centre_of_mass, momenta
 from ..reduction.tree.scalars import Scalar
 from ..system.system import System, nominal
 from .build import model_bytes
-from .evaluate import evaluate
+from .kernel import evaluate
 from .machine.native import compile_object
 from .reduced_graph import BaseGraph
 from .reference_state import length_of, perturb_parameters, steps_of

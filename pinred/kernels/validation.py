@@ -24,8 +24,13 @@ from ..reduction.tree.loop_constraints import GAUGE_RATE
 from ..system.joints import axes_of
 from ..system.loops.kinematics import loop_jacobian_rate
 from ..system.system import ill_scaled
-from .pinocchio_terms import LoadsByPinocchio, closed_solver, impetus_terms
-from .reference_state import ReferenceState, random_state
+from .reference_state import (
+    LoadsByPinocchio,
+    ReferenceState,
+    closed_solver,
+    impetus_terms,
+    random_state,
+)
 
 if TYPE_CHECKING:
     from ..system.system import System

@@ -16,7 +16,7 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector_or_zero
 from ..common.errors import InputError
 from ..scene.scene_options import BY_JOINT, SCENE_OPTIONS
-from ..scene.toml.documents import ROBOT, read_document, robot_in
+from ..scene.toml.reader import ROBOT, read_document, robot_in
 from ..scene.toml.schema import (
     ByName,
     Either,

@@ -22,8 +22,8 @@ from ..common.errors import IntegrationError
 from ..common.waiting import Progress
 from ..forces.force_numbers import BaseInSpace, ForceInputs
 from ..forces.switch_times import time_within
+from ..integrators.integrate import RunKeeper
 from ..integrators.methods import DOP853_LEAST
-from ..integrators.solution import RunKeeper
 from ..lie.rotations import apply, rotation, unit
 from ..reduction.base_parts import base_parts, into_body, quaternion_rate, root_of
 from ..reduction.canonical_form import CanonicalForm, lost_inertia

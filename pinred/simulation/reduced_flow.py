@@ -14,7 +14,7 @@ import numpy as np
 from ..common.arrays import Array
 from ..forces.force_model import ForceModel
 from ..forces.force_numbers import BaseInSpace, ForceInputs
-from ..integrators.solution import RunKeeper
+from ..integrators.integrate import RunKeeper
 from ..system.state_fields import ShapeState, State
 from ..system.system import System
 from .plan import Plan

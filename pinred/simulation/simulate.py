@@ -28,10 +28,9 @@ from ..scene.scene_options import SceneOptions
 from ..system.model_parameters import joined
 from ..system.system import System, checked_system, nominal
 from .compiled.code_ahead import expect_integration
-from .limit_excess import excess_notice
 from .plan import Plan, plan_of, refuse_with_stops
 from .robot_columns import without_own
-from .trajectory import Trajectory, run_plan
+from .trajectory import Trajectory, excess_notice, run_plan
 
 if TYPE_CHECKING:
     from .checkpoint import Checkpoint

@@ -243,6 +243,8 @@ _MOVED = {
     "pinred.system.loops.looped_system": "pinred.system.loops.kinematics",
     "pinred.system.shape_space": "pinred.system.coordinates",
     "pinred.system.visuals": "pinred.system.robot_files",
+    "pinred.integrators.methods.explicit_methods": "pinred.integrators.methods.method",
+    "pinred.integrators.methods.implicit_methods": "pinred.integrators.methods.method",
 }
 _REMEDY = "Call pinred.sweep with the scene and the same store, which computes nothing again"
 

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 import pinred
 from pinred.analysis.connections import mixed
 from pinred.common.arrays import Array
-from pinred.kernels.evaluate import evaluate
+from pinred.kernels.kernel import evaluate
 
 HALF = 0.5  # distance between board centre and axles [m]
 MASS, BOARD, ROTOR, AXLE = 8.0, 0.92, 0.1, 0.01

@@ -16,7 +16,7 @@ from trees import random_model
 import pinred
 from pinred.analysis.connections import shape_field
 from pinred.common.arrays import Array
-from pinred.kernels import evaluate
+from pinred.kernels import kernel as kernels
 from pinred.kernels.connection.connection_code import ConnectionCode
 from pinred.system.robot_files import bundled_robots
 
@@ -98,7 +98,7 @@ def test_grid_in_chunks_equals_pinocchio(name: str, monkeypatch: pytest.MonkeyPa
     system = pinred.load(name)
     red, rng = pinred.Reduction(system), np.random.default_rng(1)
     shapes = rng.uniform(-2.0, 2.0, (11, system.m))
-    monkeypatch.setattr(evaluate, "_ENTRIES", 4 * system.m * (1 + system.r * (1 + system.m)))
+    monkeypatch.setattr(kernels, "_ENTRIES", 4 * system.m * (1 + system.r * (1 + system.m)))
     agree(red, shapes)
 
 

@@ -19,7 +19,7 @@ from pinred.analysis.equilibria.search import AmendedEnergy
 from pinred.analysis.stability.stability_verdict import second_variation
 from pinred.common.arrays import Array
 from pinred.forces import Damper
-from pinred.kernels.derived_code import jacobian_of
+from pinred.kernels.build import jacobian_of
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
 

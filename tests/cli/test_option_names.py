@@ -22,7 +22,7 @@ from pinred.integrators.methods import Gauss
 from pinred.laboratory.corpus.run_corpus import corpus
 from pinred.planning.gait_file import GAIT_FILE, OPTIMISE, REORIENT
 from pinred.scene.scene_options import LOAD, SWEEP_OPTIONS
-from pinred.scene.toml.documents import FILE_OPTIONS
+from pinred.scene.toml.reader import FILE_OPTIONS
 
 _CONNECTION = (pinred.load, Connection.mechanical, Connection.in_chart)
 # The Python functions of each command.

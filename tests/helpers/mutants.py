@@ -75,32 +75,28 @@ TESTS: dict[str, list[str]] = {
         "forces", "scene/test_odd_values.py", "simulation/test_balances.py",
         "views/test_notebook_cards.py",
     ],
-    "integrators/explicit/forward_sensitivities": [
+    "integrators/explicit/run_sensitivities": [
         "integrators/test_run_derivatives.py", "simulation/test_step_map.py",
-        "simulation/test_flow_map.py",
-    ],
-    "integrators/explicit/adjoint_sweep": [
-        "integrators/test_run_derivatives.py", "simulation/test_flow_map.py",
-        "simulation/test_adapters.py",
+        "simulation/test_flow_map.py", "simulation/test_adapters.py",
     ],
     "integrators/explicit": [
         "integrators/test_steppers.py", "integrators/test_measured_orders.py",
         "integrators/test_tableaux.py", "integrators/test_rotation_tolerance.py",
         "integrators/test_step_control.py",
     ],
-    "integrators/gauss/sensitivities": [
+    "integrators/implicit/gauss_sensitivities": [
         "integrators/test_run_derivatives.py", "simulation/test_step_map.py",
         "simulation/test_flow_map.py", "simulation/test_adapters.py",
     ],
-    "integrators/gauss": [
+    "integrators/implicit/gauss": [
         "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
         "integrators/test_gauss.py", "integrators/test_newton_in_gauss.py",
     ],
-    "integrators/radau": [
+    "integrators/implicit/radau_iia": [
         "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
         "integrators/test_radau.py",
     ],
-    "integrators/variational": [
+    "integrators/implicit/lagrange_poincare": [
         "integrators/test_counted_evaluations.py", "integrators/test_variational.py",
     ],
     "integrators/lanes": ["integrators/test_lanes.py", "integrators/test_measured_orders.py"],
@@ -109,9 +105,9 @@ TESTS: dict[str, list[str]] = {
         "integrators/test_tableaux.py", "integrators/test_steppers.py",
         "integrators/test_batches.py",
     ],
-    "integrators/stepping/run_state": ["integrators/test_run_record.py"],
-    "integrators/stepping/state_rows": [
-        "integrators/test_run_derivatives.py", "simulation/test_step_map.py",
+    "integrators/stepping/run_state": [
+        "integrators/test_run_record.py", "integrators/test_run_derivatives.py",
+        "simulation/test_step_map.py",
         "simulation/test_flow_map.py",
     ],
     "integrators/run_derivatives": [

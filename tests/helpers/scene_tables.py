@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pinred
-from pinred.scene.toml.documents import IMPACTS
+from pinred.scene.toml.reader import IMPACTS
 
 DOCUMENT = Path(__file__).parents[2] / "docs/scenes.md"
 START = "<!-- tables: written by tests/helpers/scene_tables.py -->\n"

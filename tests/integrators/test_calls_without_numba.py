@@ -5,11 +5,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from pathlib import Path
-
 import pytest
-
 import pinred
+from pathlib import Path
 from pinred.integrators.methods import METHODS
 
 ROOT = Path(pinred.__file__).parent.parent
@@ -64,7 +62,7 @@ from dataclasses import dataclass
 from functools import cache
 import numpy as np
 import pinred
-from pinred.integrators.explicit.tableau import Tableau
+from pinred.integrators.explicit.runge_kutta import Tableau
 from pinred.integrators.methods import Explicit
 
 @dataclass(frozen=True)

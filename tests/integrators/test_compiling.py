@@ -148,8 +148,8 @@ def test_cache_stamp_depends_on_all_sources() -> None:
 
 @pytest.mark.parametrize(
     ("name", "is_compiled"),
-    {"gauss/tables.py": True, "stepping/step_loop.py": True, "explicit/tableau.py": True,
-     "methods/explicit_methods.py": False, "integrate.py": False}.items(),
+    {"implicit/gauss_stages.py": True, "stepping/step_loop.py": True,
+     "explicit/runge_kutta.py": True, "methods/method.py": False, "integrate.py": False}.items(),
 )  # fmt: skip
 def test_stamp_covers_sources_of_compiled_functions(
     name: str, is_compiled: bool, tmp_path: Path
@@ -196,7 +196,7 @@ def test_modules_with_compiled_functions_have_stamps_of_their_own() -> None:
     assert found == stamp_of(PACKAGE / "analysis/phases/lift.py")
     assert found.startswith(SOURCES)
     assert found != SOURCES
-    assert stamp_of(PACKAGE / "integrators/gauss/stages.py") == SOURCES
+    assert stamp_of(PACKAGE / "integrators/implicit/gauss_stages.py") == SOURCES
     assert stamp_of(PACKAGE / "integrators/integrate.py") != SOURCES  # it would have its own
 
 

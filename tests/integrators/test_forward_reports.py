@@ -10,8 +10,8 @@ from scipy.linalg import expm
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.integrators.explicit import forward_sensitivities as module
-from pinred.integrators.stepping.kernel_call import SEEDS
+from pinred.integrators.explicit import run_sensitivities as module
+from pinred.integrators.stepping.intrinsics import SEEDS
 
 
 def test_states_and_tangents_inside_steps_are_those_of_the_exponential(

@@ -19,15 +19,14 @@ from pinred import DOP853, AdaptiveGauss, Gauss
 from pinred.common.arrays import Array
 from pinred.common.errors import NoConvergence, NonFiniteState, TooManySteps
 from pinred.common.machine_code import NativeCode, load_object
-from pinred.integrators.gauss import fixed_step as gauss
-from pinred.integrators.gauss.tables import tables
-from pinred.integrators.integrate import integrate
+from pinred.integrators.implicit import gauss_fixed_step as gauss
+from pinred.integrators.implicit.gauss_stages import tables
+from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import integrate_many
-from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_state
 from pinred.judge.reference_solution import FullMotion, FullState
-from pinred.kernels import derived_code
-from pinred.kernels.derived_code import tangent_of, wide_rate
+from pinred.kernels import build
+from pinred.kernels.build import tangent_of, wide_rate
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.machine.native import compile_object
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
@@ -460,7 +459,7 @@ def test_two_threads_share_compiled_code(
         codes.append(make(kernel))  # what another thread does meanwhile
         return load_object(code, name)
 
-    monkeypatch.setattr(derived_code, "load_object", load)
+    monkeypatch.setattr(build, "load_object", load)
     assert make(kernel) is codes[0]
     assert make(kernel) is codes[0]
 

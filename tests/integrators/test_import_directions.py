@@ -43,6 +43,6 @@ def test_subpackages_have_no_import_cycle() -> None:
 @pytest.mark.slow
 def test_import_cycle_is_detected() -> None:
     """A stepper that imports a constant from `methods` closes a cycle."""
-    back = Import(f"{INTEGRATORS}.gauss.stages", 1, f"{INTEGRATORS}.methods.implicit_methods")
+    back = Import(f"{INTEGRATORS}.implicit.gauss_stages", 1, f"{INTEGRATORS}.methods.method")
     with pytest.raises(CycleError):
         TopologicalSorter(folders([*package_graph.list_imports(), back])).prepare()

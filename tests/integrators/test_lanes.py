@@ -14,7 +14,7 @@ import pytest
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError
 from pinred.common.machine_code import NativeCode, load_object
-from pinred.integrators.explicit.tableau import Tableau
+from pinred.integrators.explicit.runge_kutta import Tableau
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, Solutions, integrate_many
 from pinred.integrators.lanes.integrate_in_lanes import integrate_in_lanes

@@ -15,12 +15,12 @@ from pinred import Gauss
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, NoConvergence, NonFiniteState
 from pinred.integrators import integrate as drive
-from pinred.integrators.gauss.newton import pairs
-from pinred.integrators.gauss.tables import MOST_STAGES, tables
-from pinred.integrators.integrate import integrate
+from pinred.integrators.implicit.gauss_newton import pairs
+from pinred.integrators.implicit.gauss_stages import tables
+from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
-from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_state
+from pinred.integrators.stepping.run_state import MOST_STAGES
 
 ORDERS = range(2, 17, 2)
 

@@ -11,8 +11,8 @@ import pytest
 
 from pinred.common.arrays import Array
 from pinred.integrators.explicit import munthe_kaas
-from pinred.integrators.stepping.state_rows import first_entries
-from pinred.integrators.variational import lagrange_poincare
+from pinred.integrators.implicit import lagrange_poincare
+from pinred.integrators.stepping.run_state import first_entries
 
 
 def python_of(function: Any) -> Callable[..., None]:

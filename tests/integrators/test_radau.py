@@ -30,15 +30,14 @@ from pinred.common.errors import (
 )
 from pinred.forces import PD, Damper, Limit, Torque
 from pinred.integrators import integrate as drive
-from pinred.integrators.integrate import integrate
+from pinred.integrators.implicit import radau_iia
+from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
-from pinred.integrators.radau import radau_iia
-from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.linear_systems import factor, factor_complex, solve, solve_complex
 from pinred.judge.reference_solution import FullMotion, FullState
-from pinred.kernels import derived_code as tangent
-from pinred.kernels.derived_code import jacobian_of, tangent_of
+from pinred.kernels import build as tangent
+from pinred.kernels.build import jacobian_of, tangent_of
 from pinred.kernels.machine import native
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow

@@ -17,7 +17,7 @@ PROGRAM = """
 import sys
 import numpy as np
 from pinred.integrators.methods import METHODS
-from pinred.integrators.stepping.kernel_call import from_lanes
+from pinred.integrators.stepping.intrinsics import from_lanes
 for kind in METHODS.values():
     (kind(1e-8, 1e-10) if kind.adaptive else kind(0.02))._stepper()
 out = np.zeros((1, 2))

@@ -15,7 +15,7 @@ from numpy.polynomial import legendre
 from pinred.common.arrays import Array, read_only
 from pinred.common.errors import InputError, NoConvergence
 from pinred.common.machine_code import NativeCode, load_object
-from pinred.integrators.integrate import Integration, integrate
+from pinred.integrators.integrate import Integration, Solution, integrate
 from pinred.integrators.methods import DOP853, RKMK4, AdaptiveGauss, Gauss
 from pinred.integrators.methods.method import Explicit
 from pinred.integrators.run_derivatives import (
@@ -24,8 +24,7 @@ from pinred.integrators.run_derivatives import (
     run_along,
     run_back,
 )
-from pinred.integrators.solution import Solution
-from pinred.integrators.stepping.kernel_call import SEEDS
+from pinred.integrators.stepping.intrinsics import SEEDS
 from pinred.kernels.machine.native import compile_object
 
 N, P = 7, 3  # entries of the state, and parameters

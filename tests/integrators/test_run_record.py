@@ -16,8 +16,7 @@ from pinred.common.machine_code import NativeCode, load_object
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.methods import Tsit5
-from pinred.integrators.stepping.run_state import first_step_by_rate, new_run
-from pinred.integrators.stepping.state_rows import TURN
+from pinred.integrators.stepping.run_state import TURN, first_step_by_rate, new_run
 from pinred.kernels.machine.native import compile_object
 
 OMEGA, GROWTH, END = np.array([3.0, -1.0, 2.0]), 0.3, 7.0

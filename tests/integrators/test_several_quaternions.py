@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from pinred.common.arrays import Array, read_only
 from pinred.common.errors import InputError
 from pinred.common.machine_code import NativeCode, load_object
-from pinred.integrators.integrate import Integration, integrate, integrate_parts
+from pinred.integrators.integrate import Integration, Solution, integrate, integrate_parts
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from pinred.integrators.methods import (
@@ -30,9 +30,8 @@ from pinred.integrators.methods import (
 )
 from pinred.integrators.methods.method import ErrorControl
 from pinred.integrators.run_derivatives import SmoothField, run_along, run_back
-from pinred.integrators.solution import Solution
-from pinred.integrators.stepping.kernel_call import SEEDS
-from pinred.integrators.stepping.state_rows import (
+from pinred.integrators.stepping.intrinsics import SEEDS
+from pinred.integrators.stepping.run_state import (
     TURN,
     Quaternions,
     entry_size,

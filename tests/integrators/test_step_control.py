@@ -13,9 +13,8 @@ from scipy.special import spherical_jn
 from stiff_kernels import kernel, kernels
 
 from pinred import DOP853, AdaptiveGauss, Tsit5
-from pinred.integrators.integrate import integrate
+from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.methods import METHODS, ErrorControl, Explicit
-from pinred.integrators.solution import Solution
 
 KINDS = [kind for kind in METHODS.values() if issubclass(kind, ErrorControl)]
 

@@ -28,11 +28,10 @@ from pinred.common.errors import (
 )
 from pinred.integrators import integrate as drive
 from pinred.integrators import integrate_many as several
-from pinred.integrators.integrate import integrate
+from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.methods import DOP853, RKMK4, Explicit, Method, Tsit5
 from pinred.integrators.methods import METHODS as ALL
-from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_state
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError
-from pinred.integrators.explicit.tableau import Tableau
+from pinred.integrators.explicit.runge_kutta import Tableau
 from pinred.integrators.methods import DOP853, METHODS, Explicit, Tsit5
 
 EXPLICIT = [kind for kind in METHODS.values() if issubclass(kind, Explicit)]

@@ -20,9 +20,8 @@ from pinred import Gauss, Variational
 from pinred.common.errors import InputError, NoConvergence, NonFiniteState
 from pinred.forces import Damper, Torque, Wrench
 from pinred.integrators import integrate as drive
-from pinred.integrators.integrate import integrate
+from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
-from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.run_state import Canonical
 from pinred.judge.reference_solution import FullMotion, FullState

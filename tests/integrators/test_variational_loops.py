@@ -18,7 +18,7 @@ from pinred.common.arrays import Array
 from pinred.common.errors import KernelMismatch, NoConvergence
 from pinred.integrators.stepping import run_state
 from pinred.judge.reference_solution import FullMotion, FullState
-from pinred.kernels import closing_code
+from pinred.kernels import build
 from pinred.simulation import checkpoint
 from pinred.system.loops.kinematics import loop_jacobian, loop_values
 
@@ -183,7 +183,7 @@ def test_gripper_with_coupling_moves_as_with_dop853(tmp_path: Path) -> None:
 
 def test_code_that_differs_from_pinocchio_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """The validation compares multipliers, pull and gap."""
-    monkeypatch.setattr(closing_code, "loop_values", lambda *_: np.full(3, 0.1))
+    monkeypatch.setattr(build, "loop_values", lambda *_: np.full(3, 0.1))
     model, loops = four_bar(lengths={"crank": 0.41, "coupler": 0.9, "rocker": 0.8, "frame": 1.0})
     with pytest.raises(KernelMismatch, match="closes the loops"):
         pinred.simulate(

@@ -10,11 +10,11 @@ import pytest
 from stiff_kernels import kernel
 
 from pinred.common.errors import NonFiniteState
+from pinred.integrators.integrate import Solution as Run
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.methods import DOP853, Explicit, Tsit5
 from pinred.integrators.methods.method import stepper_of
-from pinred.integrators.solution import Solution as Run
 from pinred.kernels.device.few_rows import Rows, stepper_with_few_rows
 
 METHODS = [DOP853, Tsit5]

@@ -16,12 +16,11 @@ from scaled_robots import ROBOTS, Units, corners, refusals, scaled, weld
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.kernels import derived_code
-from pinred.kernels.derived_code import jacobian_by_columns, tangent_of, validate_jacobian
+from pinred.kernels import build
+from pinred.kernels.build import jacobian_by_columns, tangent_of, validate_jacobian
 from pinred.kernels.differentiable import Differentiable, Sample
-from pinred.kernels.evaluate import evaluate
 from pinred.kernels.flow_functions import rate_of
-from pinred.kernels.kernel import Kernel
+from pinred.kernels.kernel import Kernel, evaluate
 from pinred.kernels.validation import validate_kernel
 from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
@@ -91,7 +90,7 @@ def assert_wrong_signs_are_found(
     assert len(strengths) == 2
     validate_kernel(kernel)
     size, lanes = kernel.layout.size, 4
-    wide, tangent = derived_code.wide_rate(kernel, lanes, own_parameters=True), tangent_of(kernel)
+    wide, tangent = build.wide_rate(kernel, lanes, own_parameters=True), tangent_of(kernel)
     for number in (None, *strengths):
         with pytest.raises(pinred.KernelMismatch):
             validate_kernel(WrongSign(kernel, number))  # type: ignore[arg-type]
@@ -107,9 +106,9 @@ def assert_wrong_signs_are_found(
             return values
 
         with monkeypatch.context() as patch:
-            patch.setattr(derived_code, "evaluate", spoiled_lane)
+            patch.setattr(build, "evaluate", spoiled_lane)
             with pytest.raises(pinred.KernelMismatch, match="at 4 states at once, in lane 2"):
-                derived_code._validate_wide_rate(kernel, wide, lanes, own_parameters=True)
+                build._validate_wide_rate(kernel, wide, lanes, own_parameters=True)
         if number is None:
             continue
 
@@ -145,7 +144,7 @@ def assert_wrong_signs_are_found(
                 kernel_memo = f"{function.name}_{mode}"
                 with monkeypatch.context() as patch:
                     patch.setattr(Differentiable, "_validate_derivative", spoiled_validation)
-                    patch.setattr("pinred.kernels.derived_code.once", lambda _k, _key, make: make())
+                    patch.setattr("pinred.kernels.build.once", lambda _k, _key, make: make())
                     with pytest.raises(pinred.KernelMismatch, match=f"'{kernel_memo}' of"):
                         getattr(fresh, mode)
 

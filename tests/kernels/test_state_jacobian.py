@@ -12,8 +12,8 @@ from trees import limbed_model
 import pinred
 from pinred.common.errors import KernelMismatch
 from pinred.forces import PD, Torque, Wrench
-from pinred.kernels import derived_code as graphs
-from pinred.kernels.derived_code import jacobian_code, jacobian_of
+from pinred.kernels import build as graphs
+from pinred.kernels.build import jacobian_code, jacobian_of
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.reduction.tree.articulated_sweep import sweep_jacobian

@@ -21,21 +21,19 @@ from pinred.analysis.connections import connection_physics
 from pinred.common.arrays import Array, central_differences
 from pinred.forces import ComputedTorque, Torque, Wrench
 from pinred.forces.force_numbers import random_numbers
+from pinred.kernels import build as codes
 from pinred.kernels import (
-    closing_code,
-    derived_code,
     differentiable,
     flow_functions,
     initial_conditions,
     validation,
 )
+from pinred.kernels.build import jacobian_by_columns, tangent_of, validate_jacobian
 from pinred.kernels.connection import connection_validation
-from pinred.kernels.derived_code import jacobian_by_columns, tangent_of, validate_jacobian
 from pinred.kernels.differentiable import Differentiable, Sample, values_near
-from pinred.kernels.evaluate import evaluate
 from pinred.kernels.flow_functions import initial_conditions_of, rate_of
 from pinred.kernels.initial_conditions import initial_conditions_kernel
-from pinred.kernels.kernel import Kernel
+from pinred.kernels.kernel import Kernel, evaluate
 from pinred.kernels.reference_state import random_state
 from pinred.reduction.tree.free_bodies import free_numbers
 from pinred.reduction.tree.loop_constraints import GAUGE_RATE
@@ -44,7 +42,7 @@ from pinred.simulation.plan import plan_of
 from pinred.system.loops.kinematics import loop_jacobian
 
 MODULES = (
-    validation, derived_code, differentiable, flow_functions, closing_code, initial_conditions,
+    validation, codes, differentiable, flow_functions, initial_conditions,
     connection_validation, connection_physics,
 )  # fmt: skip
 SMALL, LARGE = Units(1e-3, 1e-3, 1e-3), Units(1e3, 1e-3, 1e-3)
@@ -116,7 +114,7 @@ def test_bounds_are_relative_to_values(
     _ = initial_conditions_of(kernel, "xi").value, rate_of(kernel).pair
     if system.loops:
         monkeypatch.setattr(validation, "require_agreement", require_agreement)
-        closing_code.with_multipliers(kernel)
+        codes.with_multipliers(kernel)
         assert {"the multipliers", "the pull", "the gap"} <= seen
     else:
         evaluate_connection(system)
@@ -219,7 +217,7 @@ def test_compared_entries_of_one_kind_have_equal_units(
             validation.validate_kernel(kernel)
             initial_conditions_kernel(kernel.system, "xi")
             if kernel.system.loops:
-                closing_code.with_multipliers(kernel)
+                codes.with_multipliers(kernel)
         return seen
 
     first, second = compared(Units()), compared(Units(1e-3, 10.0, 1.0))
@@ -317,7 +315,7 @@ def test_tolerance_of_directional_derivatives(
 ) -> None:
     """Derivatives may differ by 1e-6 of the magnitude of their terms."""
     function = rate_of(build("tree", SMALL))
-    monkeypatch.setattr("pinred.kernels.derived_code.once", lambda _k, _key, make: make())
+    monkeypatch.setattr("pinred.kernels.build.once", lambda _k, _key, make: make())
     validate = Differentiable._validate_derivative
 
     def shifted_validation(self: Differentiable, name: str, derivative: Any) -> None:
@@ -354,7 +352,7 @@ def _size_of(function: Differentiable, at: Sample, covector: Array) -> float:
 def test_each_lane_is_compared(own_parameters: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """An error of 1e-9 in the last entry of any lane is found."""
     kernel, lanes = build("tree", SMALL), 4
-    code = derived_code.wide_rate(kernel, lanes, own_parameters=own_parameters)
+    code = codes.wide_rate(kernel, lanes, own_parameters=own_parameters)
     for lane in range(lanes):
 
         def faulty(
@@ -365,16 +363,16 @@ def test_each_lane_is_compared(own_parameters: bool, monkeypatch: pytest.MonkeyP
             return values
 
         with monkeypatch.context() as patch:
-            patch.setattr(derived_code, "evaluate", faulty)
+            patch.setattr(codes, "evaluate", faulty)
             with pytest.raises(pinred.KernelMismatch, match=f"in lane {lane}"):
-                derived_code._validate_wide_rate(kernel, code, lanes, own_parameters=own_parameters)
+                codes._validate_wide_rate(kernel, code, lanes, own_parameters=own_parameters)
 
 
 @pytest.mark.parametrize("own_parameters", [False, True])
 def test_exchanged_lanes_are_found(own_parameters: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """No lane may return the rate of another."""
     kernel, lanes = build("tree"), 4
-    code = derived_code.wide_rate(kernel, lanes, own_parameters=own_parameters)
+    code = codes.wide_rate(kernel, lanes, own_parameters=own_parameters)
     for first in range(lanes):
         for second in range(first):
 
@@ -388,11 +386,9 @@ def test_exchanged_lanes_are_found(own_parameters: bool, monkeypatch: pytest.Mon
                 return values
 
             with monkeypatch.context() as patch:
-                patch.setattr(derived_code, "evaluate", exchanged)
+                patch.setattr(codes, "evaluate", exchanged)
                 with pytest.raises(pinred.KernelMismatch, match="4 states at once, in lane"):
-                    derived_code._validate_wide_rate(
-                        kernel, code, lanes, own_parameters=own_parameters
-                    )
+                    codes._validate_wide_rate(kernel, code, lanes, own_parameters=own_parameters)
 
 
 def test_body_parameters_of_lanes_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -400,7 +396,7 @@ def test_body_parameters_of_lanes_are_compared(monkeypatch: pytest.MonkeyPatch) 
     system = pinred.load("cartpole")
     scene = pinred.Scene(system=system, seed=0, parameters={"pole.mass": 1.1})
     kernel, lanes = kernel_of(plan_of(scene), zero_momentum=False), 4
-    code = derived_code.wide_rate(kernel, lanes, own_parameters=True)
+    code = codes.wide_rate(kernel, lanes, own_parameters=True)
     layout = kernel.layout
     bodies = slice(layout.bodies_at, layout.bodies_at + layout.freed.size)
     nominal = free_numbers(kernel.system, layout.freed)
@@ -410,19 +406,19 @@ def test_body_parameters_of_lanes_are_compared(monkeypatch: pytest.MonkeyPatch) 
         changed[bodies, 1] = nominal
         return evaluate(address, changed.ravel(), y, entries)
 
-    monkeypatch.setattr(derived_code, "evaluate", faulty)
+    monkeypatch.setattr(codes, "evaluate", faulty)
     with pytest.raises(pinred.KernelMismatch, match="in lane 1"):
-        derived_code._validate_wide_rate(kernel, code, lanes, own_parameters=True)
+        codes._validate_wide_rate(kernel, code, lanes, own_parameters=True)
 
 
 def test_round_off_near_is_ten_times_the_spread() -> None:
     """The spread of 1 + ε k, with k from −4 to 4, is at most 8 ε."""
     epsilon = np.finfo(float).eps
-    spread = derived_code.round_off_near(lambda step: 1.0 + step, 200) / epsilon
+    spread = codes.round_off_near(lambda step: 1.0 + step, 200) / epsilon
     assert spread == pytest.approx(80.0)
-    single = derived_code.round_off_near(lambda step: 1.0 + step, 1) / epsilon
+    single = codes.round_off_near(lambda step: 1.0 + step, 1) / epsilon
     assert single > 60.0  # nine neighbours differ by nearly the whole range
-    assert derived_code.round_off_near(lambda _: np.ones(2), 3) == 0.0
+    assert codes.round_off_near(lambda _: np.ones(2), 3) == 0.0
 
 
 def test_random_numbers_have_the_size_of_values() -> None:

@@ -23,7 +23,7 @@ import pinred
 from pinred.cli.main import main
 from pinred.common.errors import InputError, LoadError, ModelError, PinredError, ShapeError
 from pinred.planning.gait_file import GAIT_FILE
-from pinred.scene.toml.documents import SCENE, scene_schema
+from pinred.scene.toml.reader import SCENE, scene_schema
 from pinred.scene.toml.schema import LARGEST, Place, Table
 from pinred.simulation.plan import plan_of
 from pinred.simulation.simulate import explain_plan

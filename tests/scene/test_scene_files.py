@@ -42,8 +42,7 @@ from pinred.integrators.methods import (
     Variational,
 )
 from pinred.scene.scene_options import LOAD, METHOD_TABLES
-from pinred.scene.toml.documents import IMPACTS, SCENE
-from pinred.scene.toml.reader import read_scene_file
+from pinred.scene.toml.reader import IMPACTS, SCENE, read_scene_file
 from pinred.scene.toml.value_tables import FORCES
 from pinred.signals import Constant, Expression, Fourier, Hold, Linear, Spline
 from pinred.system.robot_files import has_example_robots

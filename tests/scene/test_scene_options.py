@@ -21,7 +21,7 @@ from pinred.scene.scene_options import (
     describe_fields,
     list_conflicts,
 )
-from pinred.scene.toml.documents import FILE_OPTIONS, options_in, scene_table
+from pinred.scene.toml.reader import FILE_OPTIONS, options_in, scene_table
 from pinred.scene.toml.schema import Place, document_schema
 from pinred.scene.toml.value_tables import POSITIVE
 

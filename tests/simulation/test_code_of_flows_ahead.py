@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
-
 import pinred
+from pathlib import Path
+from typing import Any
 from pinred.common import object_cache
-from pinred.kernels import derived_code
 from pinred.kernels.machine.native import lowered
-
+from pinred.kernels import build
 
 @pytest.mark.parametrize("method", ["DOP853", "Gauss(0.05)"])
 def test_derivatives_use_the_code_that_is_expected(
@@ -20,7 +17,7 @@ def test_derivatives_use_the_code_that_is_expected(
 ) -> None:
     """With an empty cache, several codes are generated ahead, and each of them is used."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path))
-    for module in (object_cache, derived_code):
+    for module in (object_cache, build):
         monkeypatch.setattr(module, "spare_processors", lambda: 1)
     begun: list[Any] = []
     begin_ahead = object_cache.begin_ahead

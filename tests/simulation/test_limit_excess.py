@@ -13,7 +13,7 @@ import pinred
 from pinred import SceneWarning
 from pinred.cli.main import main
 from pinred.forces import PD, Spring, Torque
-from pinred.simulation import limit_excess
+from pinred.simulation import trajectory as limit_excess
 
 URDF = """<robot name="arm"><link name="bus"><inertial><mass value="10"/>
 <inertia ixx="2" iyy="2" izz="2" ixy="0" ixz="0" iyz="0"/></inertial></link>

@@ -12,7 +12,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.integrators.integrate import integrate
 from pinred.integrators.methods import Method
-from pinred.kernels import build, pinocchio_terms
+from pinred.kernels import build, reference_state
 from pinred.reduction.pointwise_reduction import mass_matrix
 from pinred.reduction.tree import loop_constraints
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
@@ -74,7 +74,7 @@ def test_multipliers_grow_without_the_rate_of_the_gauge(monkeypatch: pytest.Monk
     """The impetus grows with time, and the steps become shorter."""
     method = pinred.DOP853(1e-10, 1e-12)
     damped, _ = run(method, 100.0)
-    for module in (loop_constraints, build, pinocchio_terms):
+    for module in (loop_constraints, build, reference_state):
         monkeypatch.setattr(module, "GAUGE_RATE", 0.0)
     traj, nu = run(method, 100.0)
     assert nu[-1] > 500.0

@@ -6,13 +6,11 @@ If a class has to move, read its former name in `pinred.sweeps.sweep_job`.
 from __future__ import annotations
 
 import pickle
+import pytest
+import pinred
 from importlib import import_module
 from io import BytesIO
 from typing import Any
-
-import pytest
-
-import pinred
 from pinred.sweeps.sweep_job import StoredScene
 
 STORED = {
@@ -24,8 +22,9 @@ STORED = {
     "pinred.forces.signals.attitude_signal": "Attitude",
     "pinred.forces.signals.signal": "Constant Expression Fourier Hold Linear Spline",
     "pinred.forces.tracking": "ComputedTorque PD",
-    "pinred.integrators.methods.explicit_methods": "DOP853 RKMK4 Tsit5",
-    "pinred.integrators.methods.implicit_methods": "AdaptiveGauss Gauss Radau Variational",
+    "pinred.integrators.methods.method": (
+        "AdaptiveGauss DOP853 Gauss RKMK4 Radau Tsit5 Variational"
+    ),
     "pinred.lie.groups": "_R _RxSE2 _SE2 _SE3 _SO2 _SO3",
     "pinred.scene.event": "Event",
     "pinred.scene.scene": "Scene",
@@ -51,6 +50,8 @@ FORMER = {
     "pinred.lie.planar_groups": "_R _SE2 _SO2",
     "pinred.lie.r_se2": "_RxSE2",
     "pinred.lie.spatial_groups": "_SE3 _SO3",
+    "pinred.integrators.methods.explicit_methods": "DOP853 RKMK4 Tsit5",
+    "pinred.integrators.methods.implicit_methods": "AdaptiveGauss Gauss Radau Variational",
     "pinred.common.default_marker": "Default",
     "pinred.sweeps.samplers": "PointSequence",
     "pinred.system.actuator": "Actuator",

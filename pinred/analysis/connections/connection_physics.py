@@ -25,7 +25,7 @@ from ...common.memo import once
 from ...common.names import joint_index, listed, nearest, quoted
 from ...kernels.connection.connection_code import ConnectionCode, cached_code
 from ...kernels.connection.connection_form import ConnectionForm, form_of
-from ...kernels.evaluate import evaluate
+from ...kernels.kernel import evaluate
 from ...kernels.reference_state import length_of, steps_of
 from ...kernels.validation import require_agreement
 from ...lie.rotations import hat

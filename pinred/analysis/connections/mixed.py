@@ -44,7 +44,7 @@ from ...kernels.connection.connection_form import (
     solve_locked,
 )
 from ...kernels.connection.connection_validation import TrialShape, trial_shapes
-from ...kernels.evaluate import evaluate
+from ...kernels.kernel import evaluate
 from ...kernels.machine.native import compile_object
 from ...kernels.reference_state import length_of, steps_of
 from ...kernels.validation import TOLERANCE, require_agreement

@@ -27,7 +27,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, whole
 from ...common.errors import NoConvergence
 from ...common.waiting import Wait
-from ...integrators.gauss.tables import tables
+from ...integrators.implicit.gauss_stages import tables
 from ...integrators.stepping.compiling import compiled
 from ...kernels.connection.connection_code import ConnectionCode
 from ...lie.group import Group

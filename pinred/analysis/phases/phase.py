@@ -34,7 +34,7 @@ from ...common.arrays import Array, FrozenArrays, positive, vector, vector_or_ze
 from ...common.errors import InputError, IntegrationError, NoConvergence
 from ...common.html import Rows, Summary
 from ...common.waiting import Wait
-from ...integrators.gauss.tables import tables
+from ...integrators.implicit.gauss_stages import tables
 from ...lie.group import Group, PoseError
 from ...lie.rotations import TAU
 from ...reduction.pointwise_reduction import PointwiseReduction

@@ -32,10 +32,9 @@ from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError, IntegrationError
 from ...integrators.methods import DOP853
 from ...integrators.stepping.compiling import compiled
-from ...integrators.stepping.kernel_call import SEEDS, call, call_tangent
-from ...kernels.derived_code import jacobian_of, tangent_of
-from ...kernels.evaluate import evaluate
-from ...kernels.kernel import Kernel, Layout
+from ...integrators.stepping.intrinsics import SEEDS, call, call_tangent
+from ...kernels.build import jacobian_of, tangent_of
+from ...kernels.kernel import Kernel, Layout, evaluate
 from ...reduction.base_parts import BaseParts
 from ...reduction.pointwise_reduction import mass_matrix, usual_inertias
 from ...reduction.tree.loop_constraints import GAUGE_RATE

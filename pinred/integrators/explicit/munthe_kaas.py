@@ -11,19 +11,25 @@ output interpolates y and u by cubic Hermite polynomials.
 
 from __future__ import annotations
 
+from functools import partial
 from math import cos, sin, sqrt, tan
 
 from ...common.arrays import Array
 from ..stepping.compiling import compiled, inlined
-from ..stepping.kernel_call import call
-from ..stepping.run_state import DONE, NOT_FINITE, Run, copy_an_end, keep_state, quaternions_of
-from ..stepping.state_rows import (
+from ..stepping.intrinsics import call
+from ..stepping.run_state import (
+    DONE,
     NEW,
+    NOT_FINITE,
     Quaternions,
+    Run,
     Y,
+    copy_an_end,
     first_entries,
     first_not_finite,
+    keep_state,
     padded_rows,
+    quaternions_of,
     unit_alone,
 )
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
@@ -194,5 +200,5 @@ STEPPER = Stepper(
     loops(
         "RKMK4", Hooks(begin_run, equal_steps, attempt_step, accept_step, write_state, load_step)
     ),
-    lambda n, tangent: padded_rows(ROWS, n),  # noqa: ARG005
+    partial(padded_rows, ROWS),
 )

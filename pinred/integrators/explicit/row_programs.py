@@ -15,9 +15,8 @@ from llvmlite import ir
 
 from ...common.arrays import Array
 from ..stepping.compiling import make_intrinsic, numba_core
-from ..stepping.kernel_call import check_contiguous, emit_call
-from ..stepping.state_rows import WIDTH
-from ..stepping.vector_rows import VectorRows, add_pairwise
+from ..stepping.intrinsics import VectorRows, add_pairwise, check_contiguous, emit_call
+from ..stepping.run_state import WIDTH
 
 Terms: TypeAlias = Sequence[tuple[int, float]]  # pairs of row and weight
 

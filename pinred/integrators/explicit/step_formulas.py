@@ -14,9 +14,8 @@ import numpy as np
 
 from ...common.arrays import Array
 from ..stepping.compiling import Bindings, inlined, unbound
-from ..stepping.kernel_call import call
-from ..stepping.run_state import Run, quaternions_of
-from ..stepping.state_rows import NEW, TURN, Y, in_quaternion
+from ..stepping.intrinsics import call
+from ..stepping.run_state import NEW, TURN, Run, Y, in_quaternion, quaternions_of
 
 # The state of a stage, the error rows, and the rates at both ends of a step. The rates of the other
 # stages and the dense-output terms follow.

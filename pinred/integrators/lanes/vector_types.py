@@ -16,7 +16,7 @@ from numba import extending
 from numba.core import cgutils, types
 from numba.core.typing import templates
 
-from ..stepping.vector_rows import FUSED, splat
+from ..stepping.intrinsics import FUSED, splat
 
 # numba has no type hints for these functions.
 signature: Any = templates.signature

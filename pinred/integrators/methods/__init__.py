@@ -8,18 +8,18 @@ from inspect import isabstract
 from pkgutil import iter_modules
 from typing import Any
 
-from .explicit_methods import DOP853 as DOP853
-from .explicit_methods import RKMK4 as RKMK4
-from .explicit_methods import Tsit5 as Tsit5
-from .implicit_methods import AdaptiveGauss as AdaptiveGauss
-from .implicit_methods import Gauss as Gauss
-from .implicit_methods import Radau as Radau
-from .implicit_methods import Variational as Variational
+from .method import DOP853 as DOP853
 from .method import DOP853_LEAST as DOP853_LEAST
+from .method import RKMK4 as RKMK4
+from .method import AdaptiveGauss as AdaptiveGauss
 from .method import EqualSteps as EqualSteps
 from .method import ErrorControl as ErrorControl
 from .method import Explicit as Explicit
+from .method import Gauss as Gauss
 from .method import Method as Method
+from .method import Radau as Radau
+from .method import Tsit5 as Tsit5
+from .method import Variational as Variational
 
 
 def _methods() -> dict[str, type[Method]]:

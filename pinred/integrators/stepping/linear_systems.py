@@ -10,7 +10,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from .compiling import compiled
-from .kernel_call import SEEDS, call, call_tangent
+from .intrinsics import SEEDS, call, call_tangent
 from .run_state import Run
 
 _STEP = 1e-5  # step of central differences, relative to the size of an entry

@@ -20,6 +20,7 @@ from .run_state import (
     DONE,
     ENDS,
     FULL,
+    NEW,
     NOT_FINITE,
     PAUSED,
     STEP,
@@ -28,10 +29,11 @@ from .run_state import (
     WANTED,
     Run,
     Runs,
+    Y,
     keep_state,
     quaternions_of,
+    unit_alone,
 )
-from .state_rows import NEW, Y, unit_alone
 
 _EPS = float(np.finfo(float).eps)
 
@@ -378,23 +380,27 @@ class Stepper:
 
     Attributes:
         loops: Compiled loops.
-        rows: Function of (n, tangent) that allocates the work rows for n entries of the state. If
-            `tangent` is true, the rows include space for Newton's method.
+        rows: Function that allocates the work rows for n entries of the state.
         kept: Number of floats stored at a step end per entry of the state.
         stages: Number of additional floats per entry if stages are stored, 0 if stages cannot be
             stored.
         needs_tangent: Whether the method always needs the derivative of the kernel.
+        newton_rows: Function that allocates the work rows with space for Newton's method; None if
+            the method has the same rows with it.
     """
 
     loops: Loops
-    rows: Callable[[int, bool], Array]
+    rows: Callable[[int], Array]
     kept: int = 1
     stages: int = 0
     needs_tangent: bool = False
+    newton_rows: Callable[[int], Array] | None = None
 
     def work(self, n: int, *, tangent: bool = False) -> Array:
         """Allocate the work rows (…, stride) for n entries of the state."""
-        return self.rows(n, tangent or self.needs_tangent)
+        if self.newton_rows is None or not (tangent or self.needs_tangent):
+            return self.rows(n)
+        return self.newton_rows(n)
 
     def widened(self, n: int, work: Array) -> Array:
         """Copy `work` to rows that also have space for Newton's method."""

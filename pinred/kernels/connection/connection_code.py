@@ -15,7 +15,7 @@ from ...common.machine_code import NativeCode, load_object
 from ...common.memo import once
 from ...common.object_cache import ObjectCache, cache_key
 from ...integrators.stepping.compiling import compiled
-from ..evaluate import WIDTH, columns_at, evaluate
+from ..kernel import WIDTH, columns_at, evaluate
 from ..machine.native import compile_object
 from .connection_form import (
     ConnectionForm,

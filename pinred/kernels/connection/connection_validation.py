@@ -9,7 +9,7 @@ import numpy as np
 
 from ...common.arrays import Array, central_differences
 from ...common.machine_code import NativeCode
-from ..evaluate import columns_at, evaluate
+from ..kernel import columns_at, evaluate
 from ..validation import TOLERANCE, require_agreement
 from .connection_form import ConnectionForm
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -23,6 +24,7 @@ from ...common.arrays import Array
 from ...common.memo import once_for_all
 from ...integrators.explicit.row_programs import Rate, Sum, row_program
 from ...integrators.explicit.runge_kutta import (
+    Tableau,
     accept_step,
     begin_run,
     digest,
@@ -30,26 +32,23 @@ from ...integrators.explicit.runge_kutta import (
     next_end_time,
 )
 from ...integrators.explicit.step_formulas import SCALAR, add_formulas, dense_value, next_step
-from ...integrators.explicit.tableau import Tableau
 from ...integrators.methods.method import Explicit
 from ...integrators.stepping.compiling import Bindings, bind_globals, inlined, unbound
 from ...integrators.stepping.run_state import (
     DENSE,
     DONE,
+    NEW,
     STEP,
     Run,
-    copy_an_end,
-    quaternions_of,
-    reject_step,
-)
-from ...integrators.stepping.state_rows import (
-    NEW,
     Y,
     across,
+    copy_an_end,
     first_entries,
     first_not_finite,
     inverse_length,
     padded_rows,
+    quaternions_of,
+    reject_step,
     unit_alone,
 )
 from ...integrators.stepping.step_loop import Hooks, Stepper, loops
@@ -315,7 +314,7 @@ def _stepper(name: str, order: int, tableau: Tableau, tangent: bool) -> Stepper:
     hooks = (begin_run, next_end_time, attempt_step, accept_step, write_state)
     return Stepper(
         loops(prefix, Hooks(*map(bindings.add, hooks))),
-        lambda n, tangent: padded_rows(rows.count, n),  # noqa: ARG005
+        partial(padded_rows, rows.count),
     )
 
 

@@ -37,7 +37,7 @@ from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import DOP853
 from ...judge.compare import compare
 from ...judge.reference_solution import FINEST, FullMotion
-from ...kernels.derived_code import jacobian_of, wide_rate
+from ...kernels.build import jacobian_of, wide_rate
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...scene.initial_state import random_state
 from ...scene.scene import Scene

@@ -26,13 +26,11 @@ from ...integrators.integrate import Integration
 from ...integrators.methods.method import stepper_of
 from ...integrators.run_derivatives import run_back
 from ...integrators.stepping.compiling import compiled
-from ...integrators.stepping.kernel_call import SEEDS, call, call_slopes
+from ...integrators.stepping.intrinsics import SEEDS, call, call_slopes
 from ...integrators.stepping.linear_systems import jacobian
-from ...kernels.build import build_kernel
-from ...kernels.derived_code import jacobian_code, tangent_of
-from ...kernels.evaluate import repeat, repeat_adjoint
+from ...kernels.build import build_kernel, jacobian_code, tangent_of
 from ...kernels.flow_functions import rate_of
-from ...kernels.kernel import Kernel, Structure
+from ...kernels.kernel import Kernel, Structure, repeat, repeat_adjoint
 from ...kernels.reduced_graph import ReducedGraph
 from ...reduction.cyclic_joints import cyclic_joints
 from ...reduction.pointwise_reduction import PointwiseReduction

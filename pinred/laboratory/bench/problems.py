@@ -372,7 +372,7 @@ def compute_drift(problem: Problem, q: Array, v: Array) -> Drift:
     k = system.group.linear
     q0, v0 = problem.q0, problem.v0
     total = full.totals.kinetic_energy(q0, v0)
-    internal = total - full.totals.com_kinetic_energy(q0, v0)
+    internal = total - full.totals.com_kinetic_energy(full.totals.centroidal(q0, v0))
     scale = internal if internal > 1e-9 * total else total
     fall = system.mass * system.gravity * start.duration
     about_pivot = not system.group.turns_about_com

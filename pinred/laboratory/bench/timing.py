@@ -14,8 +14,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.object_cache import ObjectCache
 from ...common.waiting import Progress, quiet
-from ...kernels.evaluate import repeat
-from ...kernels.kernel import Kernel
+from ...kernels.kernel import Kernel, repeat
 from ...system.robot_files import has_example_robots
 
 T = TypeVar("T")

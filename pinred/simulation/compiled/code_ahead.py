@@ -13,33 +13,29 @@ functions at any address.
 from __future__ import annotations
 
 import re
+import llvmlite.binding as llvm
+import numpy as np
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
-
-import llvmlite.binding as llvm
-import numpy as np
-
 from ...common.arrays import read_only
-from ...common.machine_code import (
-    archive_of,
-    create_machine,
-    emit_object,
-    parse_bitcode,
-    spare_processors,
-)
+from ...common.machine_code import archive_of
+from ...common.machine_code import create_machine
+from ...common.machine_code import emit_object
+from ...common.machine_code import parse_bitcode
+from ...common.machine_code import spare_processors
 from ...common.object_cache import Part
 from ...integrators.integrate_many import checked_batch
-from ...integrators.methods.method import Explicit, Method, stepper_of
+from ...integrators.methods.method import Explicit
+from ...integrators.methods.method import Method
+from ...integrators.methods.method import stepper_of
 from ...integrators.stepping import shipped_code
-from ...integrators.stepping.call_wrapper import (
-    CallWrapper,
-    argument_type,
-    objects_are_as_expected,
-    plain_value,
-)
+from ...integrators.stepping.call_wrapper import CallWrapper
+from ...integrators.stepping.call_wrapper import argument_type
+from ...integrators.stepping.call_wrapper import objects_are_as_expected
+from ...integrators.stepping.call_wrapper import plain_value
 from ...integrators.stepping.run_state import new_run
-from ...integrators.stepping.state_rows import Replay
+from ...integrators.stepping.run_state import Replay
 
 _LANES = 8  # members of a batch at once, unless the robot is small
 _requested: set[tuple[str, type[Method], int]] = set()  # kinds of calls, methods and their orders
@@ -93,11 +89,11 @@ def expect_tangents(method: Method, count: int) -> None:
     frozen, replay, matrix = read_only(np.empty((1, 1))), _replay(), np.empty((1, 1))
     tangents = (matrix[0], matrix, matrix, matrix, np.empty((1, 1, 1)))
     if not isinstance(method, Explicit):
-        from ...integrators.gauss import sensitivities as gauss
+        from ...integrators.implicit import gauss_sensitivities as gauss
 
         _expect(gauss.forward, replay, 1, 1, frozen, tangents, gauss.sensitivity_rows(1, 1))
         return
-    from ...integrators.explicit import forward_sensitivities as explicit
+    from ...integrators.explicit import run_sensitivities as explicit
 
     weights = explicit.weights_of(type(method).tableau())
     if count == 1:
@@ -119,14 +115,13 @@ def expect_cotangents(method: Method) -> None:
     matrix, frozen = np.empty((1, 1)), read_only(np.empty((1, 1)))
     back = (frozen, matrix[0], matrix, matrix[0], matrix[0])
     if isinstance(method, Explicit):
-        from ...integrators.explicit.adjoint_sweep import adjoint_sweep_of
-        from ...integrators.explicit.forward_sensitivities import weights_of
+        from ...integrators.explicit.run_sensitivities import adjoint_sweep_of, weights_of
 
         tableau = type(method).tableau()
         (_, dense, _), adjoint = weights_of(tableau), adjoint_sweep_of(tableau)
         _expect(adjoint.sweep, _replay(), 1, dense, back, adjoint.rows(1), matrix[0])
     else:
-        from ...integrators.gauss.sensitivities import reverse, sensitivity_rows
+        from ...integrators.implicit.gauss_sensitivities import reverse, sensitivity_rows
 
         _expect(reverse, _replay(), 1, 1, 1, back, sensitivity_rows(1, 1))
 

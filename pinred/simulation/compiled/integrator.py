@@ -27,12 +27,11 @@ from ...common.memo import once
 from ...common.names import quoted
 from ...common.waiting import Progress
 from ...forces.switch_times import time_within
-from ...integrators.integrate import Integration, Parts, integrate_parts
+from ...integrators.integrate import Integration, Parts, RunKeeper, Solution, integrate_parts
 from ...integrators.methods import EqualSteps, ErrorControl, Method
 from ...integrators.methods.method import registers_of
-from ...integrators.solution import RunKeeper, Solution
 from ...integrators.thinned_run import MOST_COPIES, ThinnedIntegration, ThinnedSolution
-from ...kernels.derived_code import tangent_of
+from ...kernels.build import tangent_of
 from ...kernels.kernel import Kernel
 from ...reduction.canonical_form import lost_inertia
 from ...scene.scene import Scene

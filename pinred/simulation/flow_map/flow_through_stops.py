@@ -26,8 +26,8 @@ from ...common.names import listed
 from ...common.parameter import Parameter
 from ...forces.controller import Controller
 from ...forces.tracking import ComputedTorque
-from ...integrators.solution import Solution
-from ...integrators.stepping.state_rows import unit_alone
+from ...integrators.integrate import Solution
+from ...integrators.stepping.run_state import unit_alone
 from ...kernels.flow_functions import Row
 from ...kernels.kernel import Layout
 from ...scene.input_formats import list_forces

@@ -30,11 +30,10 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ...integrators.solution import Solution
-from ...integrators.stepping.state_rows import unit_alone
-from ...kernels.evaluate import evaluate
+from ...integrators.integrate import Solution
+from ...integrators.stepping.run_state import unit_alone
 from ...kernels.flow_functions import outcome_of, reference_size
-from ...kernels.kernel import Kernel, Layout
+from ...kernels.kernel import Kernel, Layout, evaluate
 from ...scene.stop import Bound
 from ...system.coordinates import Indices
 from ...system.system import System

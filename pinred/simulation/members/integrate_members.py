@@ -16,7 +16,7 @@ from ...forces.force_numbers import SpanNumbers
 from ...integrators.integrate_many import STATUS, Solutions, integrate_many
 from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import ErrorControl, Explicit, Method
-from ...kernels.derived_code import wide_rate
+from ...kernels.build import wide_rate
 from ...kernels.kernel import Kernel
 from ...system.coordinates import Indices
 from ..compiled.compiled_flow import CompiledFlow

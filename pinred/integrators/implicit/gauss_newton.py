@@ -1,28 +1,36 @@
 """Newton's method for the stages of Gauss's methods, where fixed-point iteration is slow.
 
-With the stage increments L of tables.py, an iteration solves ΔL − h (G ⊗ J) ΔL = h b f − L with G =
-diag(b) μ. In the eigenvectors of G this splits into one system of n numbers per pair of eigenvalues
-(E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., section IV.8). The
-Jacobian J is evaluated at the start of this step or of an earlier step. It is not exact, so the
-iteration converges linearly and continues to round-off, like fixed-point iteration.
+With the stage increments L of gauss_stages.py, an iteration solves ΔL − h (G ⊗ J) ΔL = h b f − L
+with G = diag(b) μ. In the eigenvectors of G this splits into one system of n numbers per pair of
+eigenvalues (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., section
+IV.8). The Jacobian J is evaluated at the start of this step or of an earlier step. It is not exact,
+so the iteration converges linearly and continues to round-off, like fixed-point iteration.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 
 import numpy as np
 
 from ...common.arrays import Array, read_only
 from ..stepping.compiling import compiled
-from ..stepping.kernel_call import SEEDS, call
+from ..stepping.intrinsics import SEEDS, call
 from ..stepping.linear_systems import factor, factor_complex, finite_jacobian, solve, solve_complex
-from ..stepping.run_state import Run
-from ..stepping.state_rows import Y, first_not_finite
-from .stage_products import multiply
-from .stages import NO_SOLUTION
-from .tables import BEST, MOST_STAGES, MU, RATE, ROWS, SCALE, STAGE, B, tables, work_rows
+from ..stepping.run_state import MOST_STAGES, Run, Y, first_not_finite
+from .gauss_stages import (
+    BEST,
+    MU,
+    NO_SOLUTION,
+    RATE,
+    ROWS,
+    SCALE,
+    STAGE,
+    B,
+    multiply,
+    tables,
+    work_rows,
+)
 
 _ENTRY = 2 + 4 * MOST_STAGES  # number of floats per pair: the eigenvalue and its two eigenvectors
 # Indices of the factorisations for whole steps, and for shorter steps to report times.
@@ -59,20 +67,14 @@ def pairs(stages: int) -> Array:
     return read_only(table)
 
 
-def rows_of_stages(stages: int) -> Callable[[int, bool], Array]:
-    """Return the function of (n, tangent) that allocates the work rows (see Stepper.rows)."""
-
-    def rows(n: int, tangent: bool) -> Array:
-        if not tangent:
-            return work_rows(stages, n, 0)
-        wide, p = _wide(n), (stages + 1) // 2
-        numbers = p * _ENTRY + (2 * SEEDS + 2) * wide + 2 * (p + n + 2 * n * p) * wide
-        work = work_rows(stages, n, numbers)
-        table = pairs(stages)
-        work.reshape(-1)[ROWS * work.shape[1] :][: table.size] = table.ravel()
-        return work
-
-    return rows
+def newton_rows(stages: int, n: int) -> Array:
+    """Allocate the work rows for n entries of the state, with space for Newton's method."""
+    wide, p = _wide(n), (stages + 1) // 2
+    numbers = p * _ENTRY + (2 * SEEDS + 2) * wide + 2 * (p + n + 2 * n * p) * wide
+    work = work_rows(stages, n, numbers)
+    table = pairs(stages)
+    work.reshape(-1)[ROWS * work.shape[1] :][: table.size] = table.ravel()
+    return work
 
 
 @compiled

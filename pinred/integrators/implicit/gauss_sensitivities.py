@@ -31,8 +31,8 @@ import numpy as np
 
 from ...common.arrays import Array
 from ..stepping.compiling import bind_globals, compiled, inlined, unbound
-from ..stepping.kernel_call import call, call_adjoint, call_slopes
-from ..stepping.state_rows import (
+from ..stepping.intrinsics import call, call_adjoint, call_slopes
+from ..stepping.run_state import (
     NEW,
     Cotangents,
     Replay,
@@ -45,9 +45,27 @@ from ..stepping.state_rows import (
     report,
     unit_alone,
 )
-from .stage_products import multiply, refresh
-from .stages import add_increments, guess, prepare_guess, scale_by_largest, start_evenly
-from .tables import GUESS, MU, OLD, RATE, ROWS, STAGE, SUB, WITHIN, B, L, tables, work_rows
+from .gauss_stages import (
+    GUESS,
+    MU,
+    OLD,
+    RATE,
+    ROWS,
+    STAGE,
+    SUB,
+    WITHIN,
+    B,
+    L,
+    add_increments,
+    guess,
+    multiply,
+    prepare_guess,
+    refresh,
+    scale_by_largest,
+    start_evenly,
+    tables,
+    work_rows,
+)
 
 # Rows after those of `work_rows`: μ transposed; the tangents or covectors of the stages; their
 # increments Z of this step, of the step treated before, and of a shorter step to a report time.

@@ -10,6 +10,7 @@ error of the method, of order 16, is proportional to its square.
 
 from __future__ import annotations
 
+from functools import partial
 from math import exp, log, sqrt
 
 import numpy as np
@@ -22,17 +23,34 @@ from ..stepping.run_state import (
     NOT_FINITE,
     STAGES_KEPT,
     Run,
+    Y,
+    entry_size,
     first_step_by_rate,
     keep_state,
+    lanes_of,
     quaternions_of,
     reject_step,
+    unit_alone,
 )
-from ..stepping.state_rows import Y, entry_size, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, loops
-from .fixed_step import continue_from_end, load_step, not_finite_in, write_inside_state
-from .newton import rows_of_stages
-from .stages import NO_SOLUTION, finish, guess, guess_evenly, iterate, prepare_guess
-from .tables import CARRY, GUESS, INFO, LAST, OLD, RATE, SCALE, L, lanes_of
+from .gauss_fixed_step import continue_from_end, load_step, not_finite_in, write_inside_state
+from .gauss_stages import (
+    CARRY,
+    GUESS,
+    INFO,
+    LAST,
+    NO_SOLUTION,
+    OLD,
+    RATE,
+    SCALE,
+    L,
+    finish,
+    guess,
+    guess_evenly,
+    iterate,
+    prepare_guess,
+    work_rows,
+)
 
 _SAFETY, _SHRINK, _GROW, _HALF = 0.9, 0.25, 4.0, 0.5
 _ORDER = 17.0  # exponent p of the error of one step, which is proportional to h^p
@@ -170,4 +188,4 @@ LOOPS = loops(
 @once_for_all
 def adaptive_stepper(stages: int) -> Stepper:
     """Return the stepper with step control, for a number of stages."""
-    return Stepper(LOOPS, rows_of_stages(stages), stages=lanes_of(stages))
+    return Stepper(LOOPS, partial(work_rows, stages), stages=lanes_of(stages))

@@ -7,6 +7,8 @@ of a shorter step of the same order.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from ...common.arrays import Array
@@ -18,22 +20,35 @@ from ..stepping.run_state import (
     DIVERGED,
     DONE,
     FIXED_POINT,
+    NEW,
     NEWTON,
     NOT_FINITE,
     STEP,
     WANTED,
     Run,
+    Y,
     copy_an_end,
+    copy_row,
+    first_not_finite,
     keep_state,
     quaternions_of,
+    unit_alone,
 )
-from ..stepping.state_rows import NEW, Y, copy_row, first_not_finite, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
-from .newton import MAIN, prepare, refine, rows_of_stages
-from .newton import SUB as REPORT
-from .stages import (
+from .gauss_newton import MAIN, newton_rows, prepare, refine
+from .gauss_newton import SUB as REPORT
+from .gauss_stages import (
+    CARRY,
+    GUESS,
+    INFO,
+    NEXT_CARRY,
     NO_SOLUTION,
+    OLD,
+    RATE,
     ROUND_OFF,
+    SUB,
+    WITHIN,
+    L,
     add_increments,
     finish,
     guess,
@@ -41,8 +56,8 @@ from .stages import (
     iterate,
     prepare_guess,
     scale_by_largest,
+    work_rows,
 )
-from .tables import CARRY, GUESS, INFO, NEXT_CARRY, OLD, RATE, SUB, WITHIN, L
 
 _STAY = 64  # number of steps with Newton's method before fixed-point iteration is tried again
 _SEGMENTS = 64  # largest number of substeps into which a step to a report time is split
@@ -263,4 +278,5 @@ LOOPS = loops(
 @once_for_all
 def fixed_stepper(stages: int, *, needs_tangent: bool) -> Stepper:
     """Return the stepper with steps of equal length, for a number of stages."""
-    return Stepper(LOOPS, rows_of_stages(stages), needs_tangent=needs_tangent)
+    rows, wide_rows = partial(work_rows, stages), partial(newton_rows, stages)
+    return Stepper(LOOPS, rows, needs_tangent=needs_tangent, newton_rows=wide_rows)

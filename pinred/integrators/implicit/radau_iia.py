@@ -25,19 +25,24 @@ import numpy as np
 
 from ...common.arrays import Array
 from ..stepping.compiling import compiled, inlined
-from ..stepping.kernel_call import SEEDS, call, call_tangent
+from ..stepping.intrinsics import SEEDS, call, call_tangent
 from ..stepping.linear_systems import factor, factor_complex, finite_jacobian, solve, solve_complex
 from ..stepping.run_state import (
     DENSE,
     DONE,
+    NEW,
     NOT_FINITE,
     Run,
+    Y,
     copy_an_end,
+    entry_size,
+    first_not_finite,
     first_step_by_rate,
     quaternions_of,
     reject_step,
+    unit,
+    unit_alone,
 )
-from ..stepping.state_rows import NEW, Y, entry_size, first_not_finite, unit, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, loops
 
 _S6 = 6**0.5
@@ -491,7 +496,7 @@ STEPPER = Stepper(
             begin_run, next_end_time, attempt_step, accept_step, write_state, load_step, store_end
         ),
     ),
-    lambda n, tangent: np.zeros((MATRIX + 5 * n, -(-n // SEEDS) * SEEDS)),  # noqa: ARG005
+    lambda n: np.zeros((MATRIX + 5 * n, -(-n // SEEDS) * SEEDS)),
     kept=KEPT,
     needs_tangent=True,
 )

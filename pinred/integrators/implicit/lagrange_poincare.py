@@ -41,22 +41,20 @@ import numpy as np
 
 from ...common.arrays import Array
 from ..stepping.compiling import compiled, inlined
-from ..stepping.kernel_call import call, call_closing
+from ..stepping.intrinsics import call, call_closing
 from ..stepping.run_state import (
     DIVERGED,
     DONE,
+    NEW,
     NOT_FINITE,
     Run,
-    copy_an_end,
-    keep_state,
-    quaternions_of,
-)
-from ..stepping.state_rows import (
-    NEW,
     Y,
+    copy_an_end,
     first_not_finite,
     in_quaternion,
+    keep_state,
     padded_rows,
+    quaternions_of,
     unit_alone,
 )
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
@@ -281,5 +279,5 @@ STEPPER = Stepper(
         "Variational",
         Hooks(begin_run, equal_steps, attempt_step, accept_step, write_state),
     ),
-    lambda n, tangent: padded_rows(ROWS, max(n + 1, LEAST)),  # noqa: ARG005
+    lambda n: padded_rows(ROWS, max(n + 1, LEAST)),
 )

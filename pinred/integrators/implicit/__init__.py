@@ -1,0 +1,1 @@
+"""Implicit methods: Gauss's collocation, Radau IIA, and a discrete Lagrange–Poincaré integrator."""

@@ -1,1 +1,0 @@
-"""Radau IIA of order 5 with step control, for stiff systems."""

@@ -1,1 +1,0 @@
-"""A discrete Lagrange–Poincaré integrator."""
