@@ -7,32 +7,32 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
 from ..common.errors import InputError
-from ..common.files import DATA
-from ..common.files import check_path
+from ..common.files import DATA, check_path
 from ..common.names import listed
-from .command_options import add_options
-from .command_options import add_parameters
-from .command_options import add_repeated
-from .command_options import add_robot
-from .command_options import add_scene
-from .command_options import assigned_in
-from .command_options import check_robot
-from .command_options import describe_file
-from .command_options import motion_in
-from .command_options import option_adder
-from .command_options import options_in
-from .command_options import out_path
-from .command_options import parameters_in
-from .command_options import print_report
-from .command_options import scene_of
+from .command_options import (
+    add_options,
+    add_parameters,
+    add_repeated,
+    add_robot,
+    add_scene,
+    assigned_in,
+    check_robot,
+    describe_file,
+    motion_in,
+    option_adder,
+    options_in,
+    out_path,
+    parameters_in,
+    print_report,
+    scene_of,
+)
 
 if TYPE_CHECKING:
     from ..scene.scene import Scene

@@ -3,50 +3,35 @@
 from __future__ import annotations
 
 import os
-import numpy as np
-from collections.abc import Callable
-from collections.abc import Iterator
-from collections.abc import Sequence
-from concurrent.futures import FIRST_EXCEPTION
-from concurrent.futures import ThreadPoolExecutor
-from concurrent.futures import wait
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from threading import Lock
-from threading import local
-from numpy.typing import ArrayLike
-from numpy.typing import NDArray
-from ..common.arrays import Array
-from ..common.arrays import FrozenArrays
-from ..common.arrays import as_floats
-from ..common.arrays import positive
-from ..common.arrays import read_only
-from ..common.errors import InputError
-from ..common.errors import ShapeError
+from threading import Lock, local
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..common.arrays import Array, FrozenArrays, as_floats, positive, read_only
+from ..common.errors import InputError, ShapeError
 from ..common.machine_code import available_processors
-from .integrate import Tangent
-from .integrate import begun_by
-from .integrate import check_kernel
-from .integrate import check_state
-from .integrate import give_tangent
-from .methods.method import Method
-from .methods.method import stepper_of
-from .stepping.run_state import DIVERGED
-from .stepping.run_state import DONE
-from .stepping.run_state import NOT_CANONICAL
-from .stepping.run_state import NOT_FINITE
-from .stepping.run_state import PAUSED
-from .stepping.run_state import TOO_MANY
-from .stepping.run_state import UNDERFLOW
-from .stepping.run_state import Canonical
-from .stepping.run_state import copied
-from .stepping.step_loop import OUTCOME
-from .stepping.step_loop import Batch
-from .stepping.step_loop import Stepper
-from .integrate import checked_times
-from .stepping.run_state import Quaternions
+from .integrate import Tangent, begun_by, check_kernel, check_state, checked_times, give_tangent
+from .methods.method import Method, stepper_of
+from .stepping.run_state import (
+    DIVERGED,
+    DONE,
+    NOT_CANONICAL,
+    NOT_FINITE,
+    PAUSED,
+    TOO_MANY,
+    UNDERFLOW,
+    Canonical,
+    Quaternions,
+    copied,
+)
+from .stepping.step_loop import OUTCOME, Batch, Stepper
 
 STATUS = {
     DONE: "done",

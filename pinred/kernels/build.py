@@ -39,9 +39,8 @@ import casadi as ca
 import numpy as np
 
 from ..common.arrays import Array, central_differences
-from ..common.compile_ahead import spare_processors
 from ..common.errors import InputError, KernelMismatch
-from ..common.machine_code import NativeCode, load_object, load_objects
+from ..common.machine_code import NativeCode, load_object, load_objects, spare_processors
 from ..common.memo import once
 from ..common.object_cache import ObjectCache, cache_key
 from ..forces.force_model import ForceModel

@@ -13,93 +13,68 @@ other options, so an option that was changed in place gets its own scene.
 
 from __future__ import annotations
 
-import numpy as np
-from collections.abc import Hashable
-from collections.abc import Mapping
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import fields
-from dataclasses import replace
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING
-from typing import Any
-from typing import Literal
-from ..common.argument_kinds import checks_arguments
-from ..common.argument_kinds import is_given
-from ..common.arrays import Array
-from ..common.arrays import copied
-from ..common.arrays import positive
-from ..common.arrays import read_only
-from ..common.arrays import vector
-from ..common.arrays import vector_or_zero
-from ..common.arrays import whole
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from ..common.argument_kinds import checks_arguments, is_given
+from ..common.arrays import Array, copied, positive, read_only, vector, vector_or_zero, whole
 from ..common.errors import InputError
-from ..common.html import card
-from ..common.html import line
-from ..common.html import numbers
-from ..common.html import table
-from ..common.memo import recent
-from ..common.names import brief
-from ..common.names import one_of
-from ..common.parameter import Parameter
-from ..common.parameter import by_name
+from ..common.html import card, line, numbers, table
+from ..common.memo import once, recent
+from ..common.names import brief, one_of
+from ..common.parameter import Parameter, by_name
 from ..forces.controller import Controller
 from ..forces.force import Force
-from ..forces.force_model_cache import PLAIN
-from ..forces.force_model_cache import NotKeyedError
-from ..forces.force_model_cache import key_of
-from ..forces.force_model_cache import key_of_force
-from ..forces.signals import Attitude
-from ..forces.signals import Constant
+from ..forces.force_model_cache import PLAIN, NotKeyedError, key_of, key_of_force
+from ..forces.signals import Attitude, Constant
 from ..forces.signals.attitude_signal import parse_attitude
-from ..integrators.methods import DOP853_LEAST
-from ..integrators.methods import AdaptiveGauss
-from ..integrators.methods import ErrorControl
-from ..integrators.methods import Method
+from ..integrators.methods import DOP853_LEAST, AdaptiveGauss, ErrorControl, Method
 from ..system.coordinates import InitialState
 from ..system.model_parameters import ModelParameters
 from ..system.robot_file_contents import Keyframe
-from ..system.system import System
-from ..system.system import checked_system
-from ..system.system import nominal
+from ..system.system import System, checked_system, nominal
 from . import input_formats
-from .event import Event
-from .event import list_events
-from .event import watched_of
-from .initial_state import GivenStates
-from .initial_state import HeldJoints
-from .initial_state import Start
-from .initial_state import closed_state
-from .initial_state import held_joints
-from .initial_state import order_by_joint
-from .initial_state import random_state
-from .initial_state import refuse_vague
-from .initial_state import start_of
-from .input_formats import GivenParameters
-from .input_formats import acting_passive
-from .input_formats import actuation
-from .input_formats import actuators_left_out
-from .input_formats import check_keyframe
-from .input_formats import check_passive
-from .input_formats import check_span
-from .input_formats import compute_report_times
-from .input_formats import given_parameters
-from .input_formats import list_forces
-from .input_formats import passive_left_out
-from .scene_options import ARRAYS_OF_STATE
-from .scene_options import HELD
-from .scene_options import OUTPUTS
-from .scene_options import SCENE_OPTIONS
-from .scene_options import SceneFields
-from .scene_options import describe_fields
+from .event import Event, list_events, watched_of
+from .initial_state import (
+    GivenStates,
+    HeldJoints,
+    Start,
+    closed_state,
+    held_joints,
+    order_by_joint,
+    random_state,
+    refuse_vague,
+    start_of,
+)
+from .input_formats import (
+    GivenParameters,
+    acting_passive,
+    actuation,
+    actuators_left_out,
+    check_keyframe,
+    check_passive,
+    check_span,
+    compute_report_times,
+    given_parameters,
+    list_forces,
+    passive_left_out,
+)
+from .scene_options import (
+    ARRAYS_OF_STATE,
+    HELD,
+    OUTPUTS,
+    SCENE_OPTIONS,
+    SceneFields,
+    describe_fields,
+)
 from .scene_options import ENGINES as ENGINES
 from .scene_options import Engine as Engine
-from .stop import Bound
-from .stop import bounds_of
-from .stop import parse_stops
-from .stop import starts_beyond
-from ..common.memo import once
+from .stop import Bound, bounds_of, parse_stops, starts_beyond
 
 if TYPE_CHECKING:
     from ..forces.force import Watched

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import pytest
-import pinred
 from pathlib import Path
+
+import pytest
+
+import pinred
 from pinred.integrators.methods import METHODS
 
 ROOT = Path(pinred.__file__).parent.parent

@@ -4,30 +4,32 @@ from __future__ import annotations
 
 import ctypes
 import re
+from pathlib import Path
+from threading import Event, Thread
+from typing import Any
+
 import llvmlite.binding as llvm
 import numpy as np
 import pytest
+
 import pinred
-from pathlib import Path
-from threading import Event
-from threading import Thread
-from typing import Any
 from pinred.common import object_cache
 from pinred.common.errors import InputError
-from pinred.common.machine_code import _unlocked_library
-from pinred.common.machine_code import archive_of
-from pinred.common.machine_code import create_machine
-from pinred.common.machine_code import emit_object
-from pinred.common.machine_code import load_object
+from pinred.common.machine_code import (
+    _unlocked_library,
+    archive_of,
+    create_machine,
+    emit_object,
+    load_object,
+)
 from pinred.common.object_cache import ObjectCache
 from pinred.integrators.methods import METHODS
 from pinred.integrators.stepping import shipped_code
-from pinred.integrators.stepping.call_wrapper import argument_type
-from pinred.integrators.stepping.call_wrapper import plain_value
+from pinred.integrators.stepping.call_wrapper import argument_type, plain_value
 from pinred.integrators.stepping.compiling import CompiledFunction
+from pinred.integrators.stepping.intrinsics import from_lanes
 from pinred.simulation.compiled import code_ahead
 from pinred.simulation.compiled.code_ahead import divide
-from pinred.integrators.stepping.intrinsics import from_lanes
 
 FOLDER = shipped_code.FOLDER
 TWO_FUNCTIONS = """

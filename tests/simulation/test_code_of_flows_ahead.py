@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pytest
-import pinred
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import pytest
+
+import pinred
 from pinred.common import object_cache
-from pinred.kernels.machine.native import lowered
 from pinred.kernels import build
+from pinred.kernels.machine.native import lowered
+
 
 @pytest.mark.parametrize("method", ["DOP853", "Gauss(0.05)"])
 def test_derivatives_use_the_code_that_is_expected(

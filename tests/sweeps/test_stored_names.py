@@ -6,11 +6,13 @@ If a class has to move, read its former name in `pinred.sweeps.sweep_job`.
 from __future__ import annotations
 
 import pickle
-import pytest
-import pinred
 from importlib import import_module
 from io import BytesIO
 from typing import Any
+
+import pytest
+
+import pinred
 from pinred.sweeps.sweep_job import StoredScene
 
 STORED = {

@@ -6,75 +6,61 @@ Every key is validated.  No text in a file is executed.
 from __future__ import annotations
 
 import re
-import numpy as np
 import tomllib
-from collections.abc import Callable
-from collections.abc import Mapping
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
-from typing import NoReturn
+from typing import Any, NoReturn
+
+import numpy as np
+
 from ...common.argument_kinds import checks_arguments
-from ...common.errors import PinredError
+from ...common.errors import InputError, LoadError, PinredError
+from ...common.files import is_file
 from ...common.parameter import Parameter
 from ...forces.columns import symbols_of
-from ...forces.force import NAMES
-from ...forces.force import Force
-from ...forces.force import Formula
-from ...forces.force import Limit
+from ...forces.force import NAMES, Force, Formula, Limit
 from ...forces.force_model_cache import cached_force_model
 from ...forces.signals import Signal
-from ...forces.signals.expressions import FUNCTIONS
-from ...forces.signals.expressions import parse
+from ...forces.signals.expressions import FUNCTIONS, parse
 from ...integrators.methods import METHODS
 from ...system.assembly import link_frame
+from ...system.load import load
+from ...system.loops.loop import SUFFIXES
 from ...system.model_parameters import size_of
+from ...system.robot_files import bundled_robots
 from ...system.system import System
 from ..event import Event
 from ..initial_state import DURATION
-from ..input_formats import parse_control
-from ..input_formats import parse_controls
-from ..input_formats import parse_method
-from ..scene import ENGINES
-from ..scene import Engine
-from ..scene import Scene
-from ..stop import parse_stops
-from ..stop import stop_of_table
-from .schema import Place
-from .schema import naming
-from .schema import one_line
-from .schema import unknown
-from .value_tables import FORCES
-from .value_tables import FileParameter
-from .value_tables import SignalReader
-from .value_tables import file_parameters
-from .value_tables import refuse_others
-from .value_tables import with_robot_parameters
-from ...common.errors import InputError
-from ...common.errors import LoadError
-from ...common.files import is_file
-from ...system.load import load
-from ...system.loops.loop import SUFFIXES
-from ...system.robot_files import bundled_robots
-from ..scene_options import LOAD
-from ..scene_options import RUN_OPTIONS
-from ..scene_options import SCENE_OPTIONS
-from ..scene_options import SWEEP
-from ..scene_options import Option
-from ..scene_options import list_conflicts
-from .schema import Either
-from .schema import Flag
-from .schema import Key
-from .schema import ListOf
-from .schema import Number
-from .schema import Schema
-from .schema import Table
-from .schema import Text
-from .schema import document_schema
-from .schema import read_text
-from .schema import with_places
+from ..input_formats import parse_control, parse_controls, parse_method
+from ..scene import ENGINES, Engine, Scene
+from ..scene_options import LOAD, RUN_OPTIONS, SCENE_OPTIONS, SWEEP, Option, list_conflicts
+from ..stop import parse_stops, stop_of_table
+from .schema import (
+    Either,
+    Flag,
+    Key,
+    ListOf,
+    Number,
+    Place,
+    Schema,
+    Table,
+    Text,
+    document_schema,
+    naming,
+    one_line,
+    read_text,
+    unknown,
+    with_places,
+)
+from .value_tables import (
+    FORCES,
+    FileParameter,
+    SignalReader,
+    file_parameters,
+    refuse_others,
+    with_robot_parameters,
+)
 
 # The keys of scene files and gait files that name the robot.
 ROBOT = {

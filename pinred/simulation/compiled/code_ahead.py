@@ -13,29 +13,32 @@ functions at any address.
 from __future__ import annotations
 
 import re
-import llvmlite.binding as llvm
-import numpy as np
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
+
+import llvmlite.binding as llvm
+import numpy as np
+
 from ...common.arrays import read_only
-from ...common.machine_code import archive_of
-from ...common.machine_code import create_machine
-from ...common.machine_code import emit_object
-from ...common.machine_code import parse_bitcode
-from ...common.machine_code import spare_processors
+from ...common.machine_code import (
+    archive_of,
+    create_machine,
+    emit_object,
+    parse_bitcode,
+    spare_processors,
+)
 from ...common.object_cache import Part
 from ...integrators.integrate_many import checked_batch
-from ...integrators.methods.method import Explicit
-from ...integrators.methods.method import Method
-from ...integrators.methods.method import stepper_of
+from ...integrators.methods.method import Explicit, Method, stepper_of
 from ...integrators.stepping import shipped_code
-from ...integrators.stepping.call_wrapper import CallWrapper
-from ...integrators.stepping.call_wrapper import argument_type
-from ...integrators.stepping.call_wrapper import objects_are_as_expected
-from ...integrators.stepping.call_wrapper import plain_value
-from ...integrators.stepping.run_state import new_run
-from ...integrators.stepping.run_state import Replay
+from ...integrators.stepping.call_wrapper import (
+    CallWrapper,
+    argument_type,
+    objects_are_as_expected,
+    plain_value,
+)
+from ...integrators.stepping.run_state import Replay, new_run
 
 _LANES = 8  # members of a batch at once, unless the robot is small
 _requested: set[tuple[str, type[Method], int]] = set()  # kinds of calls, methods and their orders

@@ -7,56 +7,40 @@ structure, the indices of these copies are therefore computed once.
 
 from __future__ import annotations
 
-import numpy as np
-from collections.abc import Callable
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 from weakref import ref
-from ...common.arrays import Array
-from ...common.arrays import read_only
-from ...common.errors import InputError
-from ...common.errors import UnsupportedOperationError
+
+import numpy as np
+
+from ...common.arrays import Array, read_only
+from ...common.errors import InputError, UnsupportedOperationError
 from ...common.machine_code import available_processors
-from ...common.memo import once
-from ...common.memo import recent
+from ...common.memo import once, recent
 from ...forces.force_model import ForceModel
-from ...forces.force_numbers import BaseInSpace
-from ...forces.force_numbers import SpanNumbers
+from ...forces.force_numbers import BaseInSpace, SpanNumbers
 from ...forces.switch_times import time_within
 from ...integrators.methods import Method
 from ...integrators.stepping.compiling import compiled
-from ...kernels.build import build_kernel
-from ...kernels.initial_conditions import InitialConditions
-from ...kernels.initial_conditions import InitialConditionsKernel
-from ...kernels.initial_conditions import initial_conditions_kernel
-from ...kernels.kernel import Kernel
-from ...kernels.kernel import Layout
-from ...kernels.kernel import in_given_order
-from ...reduction.base_parts import into_body
-from ...reduction.base_parts import root_of
+from ...kernels.build import build_kernel, tangent_of, wide_rate, with_multipliers
+from ...kernels.initial_conditions import (
+    InitialConditions,
+    InitialConditionsKernel,
+    initial_conditions_kernel,
+)
+from ...kernels.kernel import Kernel, Layout, evaluate, evaluate_row, evaluate_runs, in_given_order
+from ...reduction.base_parts import into_body, root_of
 from ...reduction.tree.free_bodies import free_numbers
-from ...scene.initial_state import GivenStates
-from ...scene.initial_state import finite_start
+from ...scene.initial_state import GivenStates, finite_start
 from ...system.coordinates import Indices
-from ...system.state_fields import ShapeState
-from ...system.state_fields import State
-from ...system.system import System
-from ...system.system import nominal
-from ..plan import NO_DIFFERENCES
-from ..plan import MemberParameters
-from ..plan import Plan
-from ..reduced_flow import Sample
-from ..reduced_flow import entry_name
-from ...kernels.build import tangent_of
-from ...kernels.build import wide_rate
-from ...kernels.build import with_multipliers
-from ...kernels.kernel import evaluate
-from ...kernels.kernel import evaluate_row
-from ...kernels.kernel import evaluate_runs
+from ...system.state_fields import ShapeState, State
+from ...system.system import System, nominal
+from ..plan import NO_DIFFERENCES, MemberParameters, Plan
+from ..reduced_flow import Sample, entry_name
+
 
 @dataclass(frozen=True)
 class Constants:

@@ -6,68 +6,39 @@ Other threads generate the machine code of the derivatives while the flow is int
 from __future__ import annotations
 
 import warnings
-import numpy as np
-from collections.abc import Callable
-from collections.abc import Iterable
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
-from typing import ClassVar
-from ...common.arrays import Array
-from ...common.arrays import read_only
-from ...common.errors import AccuracyWarning
-from ...common.errors import InputError
-from ...common.errors import IntegrationError
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...common.arrays import Array, read_only
+from ...common.errors import AccuracyWarning, InputError, IntegrationError
 from ...forces.switch_times import time_within
-from ...integrators.integrate import Integration
-from ...integrators.methods import Explicit
-from ...integrators.methods import Method
-from ...integrators.run_derivatives import SmoothField
-from ...integrators.run_derivatives import refuse_without_derivatives
-from ...integrators.run_derivatives import run_along
-from ...integrators.run_derivatives import run_back
-from ...kernels.flow_functions import Row
-from ...kernels.flow_functions import outcome_of
-from ...kernels.flow_functions import rate_of
-from ...kernels.flow_functions import reference_in
-from ...kernels.flow_functions import sizes_of
-from ...kernels.kernel import Outputs
-from ...kernels.kernel import in_given_order
+from ...integrators.integrate import Integration, Solution
+from ...integrators.methods import Explicit, Method
+from ...integrators.run_derivatives import (
+    SmoothField,
+    refuse_without_derivatives,
+    run_along,
+    run_back,
+)
+from ...kernels.build import expect_code, tangent_of
+from ...kernels.flow_functions import Row, outcome_of, rate_of, reference_in, sizes_of
+from ...kernels.kernel import Outputs, call_in_batches, call_value, evaluate, in_given_order
 from ...system.coordinates import Indices
-from ...system.state_fields import Outcome
-from ...system.state_fields import ShapeState
-from ...system.state_fields import State
-from ...system.state_fields import arrays_of
-from ...system.state_fields import map_arrays
+from ...system.state_fields import Outcome, ShapeState, State, arrays_of, map_arrays
 from ...system.system import System
-from ..compiled.code_ahead import expect
-from ..compiled.code_ahead import expect_cotangents
-from ..compiled.code_ahead import expect_tangents
-from ..compiled.compiled_flow import CompiledFlow
-from ..compiled.compiled_flow import kernel_of
-from ..compiled.compiled_flow import rate_address
-from ..compiled.integrator import explained
-from ..compiled.integrator import wild_steps
+from ..compiled.code_ahead import expect, expect_cotangents, expect_tangents
+from ..compiled.compiled_flow import CompiledFlow, kernel_of, rate_address
+from ..compiled.integrator import explained, wild_steps
 from ..members.integrate_members import integrate_members
 from ..members.trajectories import Batch
-from ..plan import Plan
-from ..plan import Span
-from ..plan import spans_between
-from .flow_run import OutcomeAdjoint
-from .flow_run import Run
-from .flow_run import resolve_run
-from .inputs import Given
-from .inputs import InitialMap
-from .inputs import motion_of
+from ..plan import Plan, Span, spans_between
+from .flow_run import InitialMap, OutcomeAdjoint, Run, resolve_run
+from .inputs import Given, InitialMap, motion_of
 from .jumps import jumps_of
-from ...integrators.integrate import Solution
-from ...kernels.build import expect_code
-from ...kernels.build import tangent_of
-from ...kernels.kernel import call_in_batches
-from ...kernels.kernel import call_value
-from ...kernels.kernel import evaluate
-from .flow_run import InitialMap
 
 _NUMBERS_AT_ONCE = 2**24  # largest number of derivatives that are kept at once
 
