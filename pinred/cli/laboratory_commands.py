@@ -42,29 +42,13 @@ def add_bench_arguments(sub: argparse.ArgumentParser) -> None:
         command.add_argument("--members", metavar="N", type=int, default=count, help=text)
 
     add("kernels", "time of one kernel evaluation against pin.aba", "robots", "a few")
-    add("forces", "kernels with forces that observe the base", "robots", "four")
     _add_accuracy_options(add("accuracy", "run time against error, also of other tools"))
-    text = "evaluations that an accuracy costs, for many methods"
-    add("evaluations", text, "scenes", "four")
     add("flow", "calls, gradients, and variable inertias of flows", "robots", "four")
-    text = "forward and backward derivatives of flows, and the state Jacobian of kernels"
-    add("derivatives", text, "robots", "four")
-    add("scaling", "one kernel evaluation for chains of 5 to 100 joints")
-    add("floquet", "Floquet multipliers by three routes against a closed form")
     add("compare", "time of comparisons, and of one integration by ABA", "scenes", "all installed")
     add("first", "first calls with empty caches", "calls", "all")
     add("films", "processor time of a film's frame", "robots", "four")
-    add("loops", "gaps of closed loops in MuJoCo, whose constraints are soft, and in pinred")
-    text = "joint stops of MuJoCo, which are soft, of Drake's discrete solver, and of pinred"
-    add("stops", text)
     text = "trajectories per second of a batch, also with other tools"
     add_members(add("many", text, "scenes", "five"), 512)
-    text = "the chosen method, compared with the fastest one that is at least as accurate"
-    methods = add("methods", text, "scenes", "all of up to 20 joints")
-    methods.add_argument(
-        "--held", metavar="N", dest="held", type=int, default=200,
-        help="number of random robots with springs and held joints (default: 200)",
-    )  # fmt: skip
     threads = add("threads", "time and memory of simulate_many on one and two threads")
     threads.add_argument("robot", nargs="?", default="solo12", help="robot (default: solo12)")
     add_members(threads, 1000)
@@ -77,12 +61,8 @@ def run_bench(arguments: argparse.Namespace) -> int:
         return _run_accuracy(arguments, folder)
     from ..laboratory import bench
 
-    names = ("robots", "scenes", "calls", "members", "held")
+    names = ("robots", "robot", "scenes", "calls", "members")
     options = {name: value for name, value in vars(arguments).items() if name in names}
-    if "robot" in arguments:
-        from ..system.load import load
-
-        options["system"] = load(arguments.robot, gravity=(0.0, 0.0, 0.0))
     name = "first_calls" if arguments.measurement == "first" else arguments.measurement
     with Wait(f"measures: {arguments.measurement}"):
         results = getattr(bench, f"bench_{name}")(**options, progress=True)

@@ -33,6 +33,7 @@ from ..integrators.stepping.call_wrapper import ArgumentType, Bitcode
 from ..judge.compare import compare
 from ..kernels.device.device_code import loop_arguments
 from ..kernels.device.few_rows import stepper_with_few_rows
+from ..kernels.evaluate import repeat, repeat_adjoint
 from ..simulation.flow_map.flow import flow
 from ..simulation.simulate import simulate
 from ..simulation.simulate_many import simulate_many
@@ -167,8 +168,6 @@ def _without_variables(method: str) -> Any:
 
 def _uncommon(system: System) -> Any:
     """Read a batch, prescribe a joint, linearise a motion, and follow a gait, and more."""
-    from ..laboratory.bench.kernel_timing import kernel_repetitions
-
     driven: dict[str, Any] = {
         "duration": _DURATION,
         "prescribed": {system.space.names[0]: "0.1*sin(t)"},
@@ -184,8 +183,12 @@ def _uncommon(system: System) -> Any:
     stops: Any = {system.shape_names[0]: (-3.0, 3.0)}
     flow(system, wrt=["x0"], seed=1, duration=_DURATION, stops=stops).jacobian()
     linearised_flow(simulate(system, seed=1, duration=_DURATION)).advance(_DURATION)
-    for repeat in kernel_repetitions(flow(system, wrt=["x0"], seed=1, duration=_DURATION)):
-        repeat(1)
+    differentiated = flow(system, wrt=["x0"], seed=1, duration=_DURATION)
+    (solution,) = differentiated.run({}).solutions
+    propagator, y, p = differentiated.propagator, solution.states[0].copy(), solution.params
+    repeat(propagator.kernel.rate.address, p, y, 1)
+    gradient = np.empty(len(y) + len(p))
+    repeat_adjoint(propagator.field.adjoint(), y, p, np.ones(len(y)), gradient, 1)
     return (
         simulate_many(system, seeds=range(8), times=[_DURATION]).x,
         phase(system, Gait.waypoints(corners)),

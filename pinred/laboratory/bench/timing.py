@@ -14,8 +14,6 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.object_cache import ObjectCache
 from ...common.waiting import Progress, quiet
-from ...kernels.evaluate import repeat
-from ...kernels.kernel import Kernel
 from ...system.robot_files import has_example_robots
 
 T = TypeVar("T")
@@ -162,14 +160,6 @@ def fastest(
     """Return the least time of each of several actions [s]; see `alternating`."""
     times = alternating(actions, rounds=rounds, span=span, budget=budget)
     return [float(seconds) for seconds in np.nanmin(times, axis=0)]
-
-
-def evaluations(kernel: Kernel) -> Action:
-    """Return a function that evaluates a kernel at a random state a given number of times."""
-    rng = np.random.default_rng(0)
-    y = rng.normal(size=kernel.layout.size)
-    parameters = rng.normal(size=kernel.layout.parameters)
-    return lambda count: repeat(kernel.rate.address, parameters, y, count)
 
 
 def timed(action: Callable[[], T]) -> tuple[T, float]:
