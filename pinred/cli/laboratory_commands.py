@@ -112,7 +112,6 @@ def _add_accuracy_options(sub: argparse.ArgumentParser) -> None:
 def _run_accuracy(arguments: argparse.Namespace, folder: Path | None) -> int:
     """Measure the results that the folder lacks; print and write all of them.  Returns 0."""
     from ..laboratory.bench.accuracy import (
-        ALL_SOLVERS,
         DEFAULT,
         FULL,
         QUICK,
@@ -128,11 +127,10 @@ def _run_accuracy(arguments: argparse.Namespace, folder: Path | None) -> int:
         print("methods:", ", ".join(method.name for method in SOLVERS))
         return 0
     effort = QUICK if arguments.quick else FULL if arguments.full else DEFAULT
-    solvers = ALL_SOLVERS if arguments.full else SOLVERS
     names = _split(arguments.scenes)
     if names == ["all"] or (names is None and arguments.full):
         names = list(SCENES)
-    methods = solvers_named(_split(arguments.methods), solvers)
+    methods = solvers_named(_split(arguments.methods))
     problems, missing = problems_named(names)
     tolerances = _parse_tolerances(arguments.tolerances)
     results = continue_accuracy(problems, methods, tolerances, effort, folder)

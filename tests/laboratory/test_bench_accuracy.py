@@ -144,7 +144,7 @@ def test_problem_of_unsorted_robot_is_solved_in_sorted_order() -> None:
     start, duration = pinred.Scene(system=system, seed=0, duration=0.2).start, 0.2
     initial = InitialState(start.x, start.xdot, start.xi, duration)
     problem = Problem("unsorted", "a random tree", system, initial)
-    prepared = solvers_named(["aba-rkmk4"])[0].prepare(problem, 1 / 200)
+    prepared = solvers_named(["aba-odeint"])[0].prepare(problem, 1e-10)
     end = prepared.end(prepared.run())
     q0 = system.q(system.group.identity(), start.x)
     q, _ = aba.integrate(model, q0, system.v(start.xi, start.xdot), np.array([0.0, duration]))
@@ -268,11 +268,11 @@ def test_failed_methods_have_points_with_reason() -> None:
 
 def test_tolerances_after_slow_run_are_skipped() -> None:
     """Finer tolerances than a slow one have a point with the reason."""
-    method = solvers_named(["aba-rk4"])[0]
+    method = solvers_named(["pinred-rkmk4"])[0]
     impatient = Effort("impatient", rounds=1, patience=1e-6, budget=1.0, every=4)
     (result,) = bench_accuracy([short_planar()], methods=[method], effort=impatient)
     assert len(result.points) == len(method.tolerances[::4])
-    assert len(result.of("aba-rk4")) == 1
+    assert len(result.of("pinred-rkmk4")) == 1
     assert all("not run: a coarser tolerance took" in p.failure for p in result.points[1:])
 
 

@@ -38,8 +38,7 @@ from ...system.state_fields import with_base
 from .peers.aba import ABA
 from .peers.cvodes import CVODES
 from .peers.drake import DRAKE
-from .peers.exudyn import EXUDYN
-from .peers.heyoka import HEYOKA, HEYOKA_SLOW, has_heyoka, reduced_graph, taylor_expressions
+from .peers.heyoka import HEYOKA, has_heyoka, reduced_graph, taylor_expressions
 from .peers.mujoco import MUJOCO
 from .problems import (
     ATOL,
@@ -151,16 +150,14 @@ OWN = (
 )
 
 
-SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA)
-# ALL_SOLVERS also includes methods whose preparation takes minutes.
-ALL_SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA_SLOW)
+SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *DRAKE, *CVODES, *HEYOKA)
 
 
-def solvers_named(
-    names: Sequence[str] | None, among: Sequence[Solver] = SOLVERS
-) -> tuple[Solver, ...]:
+def solvers_named(names: Sequence[str] | None) -> tuple[Solver, ...]:
     """Return the named methods, or all if None; raise InputError for an unknown name."""
-    return tuple(select_named(names, {solver.name: solver for solver in among}, "method").values())
+    return tuple(
+        select_named(names, {method.name: method for method in SOLVERS}, "method").values()
+    )
 
 
 YARDSTICK = "pinred"  # method that every run contains, so that time ratios stay within a run

@@ -25,8 +25,8 @@ from ....common.arrays import Array
 from ....common.errors import IntegrationError, UnsupportedOperationError
 from ....lie.group import Group
 from ....system.system import System
-from ..problems import ATOL, End, PreparedRun, Problem, Solver, decades
-from .aba import missing_unless_equal, no_mass_matrix
+from ..problems import ATOL, UNKNOWN, End, PreparedRun, Problem, Solver, decades
+from .aba import PeerModel, missing_unless_equal
 from .heyoka import reduced_graph
 
 
@@ -179,7 +179,7 @@ def _compiler() -> str | None:
     return shutil.which("gcc") or shutil.which("cc")
 
 
-class FullModel:
+class FullModel(PeerModel):
     """The full dynamics in compiled C, in Pinocchio's coordinates."""
 
     def __init__(self, system: System) -> None:
@@ -189,13 +189,12 @@ class FullModel:
 
     def mass_matrix(self, q: Array) -> Array:  # noqa: ARG002
         """Return NaN: the compiled code has no mass matrix."""
-        return no_mass_matrix(self.system)
+        return np.full((self.system.n, self.system.n), UNKNOWN)
 
     def acceleration(self, q: Array, v: Array) -> Array:
-        """Return Pinocchio's dv/dt without torques, (n,)."""
+        """Return dv/dt without torques, (n,)."""
         configuration = self.system.configuration(q)
-        y = np.concatenate([configuration.pose, configuration.x, v])
-        rate = self.compiled.function(y)
+        rate = self.compiled.function(np.concatenate([configuration.pose, configuration.x, v]))
         return np.array(rate).ravel()[-self.system.n :]
 
 
