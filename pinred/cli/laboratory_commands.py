@@ -184,12 +184,13 @@ def add_stress_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_stress(arguments: argparse.Namespace) -> int:
     """Run the checks.  Returns 0, or 1 if a check fails."""
-    from ..laboratory.stress.check import Trial, run_checks, select_checks, table
+    from ..laboratory.stress.check import Trial, run_check, select_checks, table
 
     checks = select_checks(arguments.only.split(",") if arguments.only else ())
     trial = Trial(effort="full" if arguments.full else "usual")
     outcomes = []
-    for outcome in run_checks(checks, trial, on_case=_progress_of_stress):
+    for check in checks:
+        outcome = run_check(check, trial, _progress_of_stress)
         outcomes.append(outcome)
         if sys.stderr.isatty():
             sys.stderr.write("\r\033[K")
