@@ -46,10 +46,9 @@ def add_bench_arguments(sub: argparse.ArgumentParser) -> None:
     add("flow", "calls, gradients, and variable inertias of flows", "robots", "four")
     add("compare", "time of comparisons, and of one integration by ABA", "scenes", "all installed")
     add("first", "first calls with empty caches", "calls", "all")
-    add("films", "processor time of a film's frame", "robots", "four")
     text = "trajectories per second of a batch, also with other tools"
     add_members(add("many", text, "scenes", "five"), 512)
-    threads = add("threads", "time and memory of simulate_many on one and two threads")
+    threads = add("threads", "time of simulate_many on one and two threads")
     threads.add_argument("robot", nargs="?", default="solo12", help="robot (default: solo12)")
     add_members(threads, 1000)
 

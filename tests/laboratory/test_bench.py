@@ -109,18 +109,16 @@ def test_bench_flow_measures_the_default_robots(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_bench_flow_measures_every_ratio(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each number is positive, appears in the table, and the two adjoints agree."""
+    """Each ratio is positive, and appears in the table."""
     monkeypatch.setattr(kernel_timing, "_ROUNDS", 2)
     monkeypatch.setattr(kernel_timing, "_BURST", 1e-5)
-    monkeypatch.setattr(kernel_timing, "_LONGEST", 1e-3)
     table = kernel_timing.bench_flow(["coupled_planar"])
     (result,) = table
     ratios = [result.jvp, result.gradient, result.inertias, result.gauss, result.adjoint]
-    assert min(*ratios, result.cvodes, result.call, result.simulate, result.step) > 0.0
-    assert result.apart < 1e-6
+    assert min(*ratios, result.call, result.simulate, result.step) > 0.0
     names, units, row = str(table).splitlines()
     assert all(f"{ratio:.3g}" in row for ratio in ratios)
-    assert len(names.split()) == 15
+    assert len(names.split()) == 13
     assert units.split().count("[runs]") == 4
     assert len(names) == len(units) == len(row)
 
@@ -176,18 +174,13 @@ def test_bench_many_reaches_error_or_reports_failure() -> None:
         bench_many(["planar1"], members=1)
 
 
-def test_bench_threads_measures_time_and_memory() -> None:
-    """The memory of each member is at least that of its results."""
+def test_bench_threads_measures_one_and_two() -> None:
+    """The note states the ratio of the two times."""
     table = bench_threads("falling_cat", members=8, rounds=1)
     assert [row.threads for row in table] == [1, 2]
     one, two = (row.wall for row in table)
     assert min(one, two) > 0.0
     assert f"two threads are {one / two:.2f} times faster" in str(table)
-    system = pinred.load("falling_cat")
-    many = pinred.simulate_many(system, seeds=range(8), times=[2.0])
-    assert all(row.kept >= many.y.nbytes / 8 and row.extra >= 0.0 for row in table)
-    with pytest.raises(InputError, match="at least 1"):
-        bench_threads("falling_cat", members=0)
 
 
 def test_bench_commands_write_csv(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

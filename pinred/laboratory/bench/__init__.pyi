@@ -10,7 +10,6 @@ from .accuracy import bench_accuracy as bench_accuracy
 from .accuracy import own_method as own_method
 from .accuracy import reference_of as reference_of
 from .call_timing import bench_compare as bench_compare
-from .call_timing import bench_films as bench_films
 from .call_timing import bench_first_calls as bench_first_calls
 from .call_timing import bench_many as bench_many
 from .call_timing import bench_threads as bench_threads

@@ -1,4 +1,4 @@
-"""Times of whole calls: comparisons, films, first calls, and batches.
+"""Times of whole calls: comparisons, first calls, and batches.
 
 Batches of members run at a requested error, also with other tools, on one thread; `simulate_many`
 on two threads. The processor time of batches is measured instead of their wall time: calls take
@@ -11,13 +11,10 @@ import os
 import subprocess
 import sys
 import time
-import tracemalloc
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import cycle
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
@@ -30,15 +27,13 @@ from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import DOP853
 from ...judge.compare import compare
 from ...judge.reference_solution import FINEST, FullMotion
+from ...judge.verdict import Report
 from ...kernels.derived_code import wide_rate
-from ...scene.initial_state import random_state
 from ...simulation.members.integrate_members import lanes_of
 from ...simulation.simulate import simulate
 from ...simulation.simulate_many import simulate_many
 from ...simulation.trajectory import Trajectory
 from ...system.load import load
-from ...views.playback.film import SIZE, Frames
-from ...views.playback.view_options import FILM_FPS, View
 from .peers.heyoka import HEYOKA_BATCH
 from .peers.mujoco import ROLLOUT
 from .problems import (
@@ -51,7 +46,7 @@ from .problems import (
     problems_named,
     select_named,
 )
-from .timing import Table, alternating, repeated, robots_to_measure
+from .timing import Action, Table, alternating, repeated, robots_to_measure
 
 _ROUNDS = 7
 
@@ -101,57 +96,21 @@ def bench_compare(scenes: Sequence[str] = (), *, progress: Progress | bool | Non
     selected = select_named(robots_to_measure(scenes, [*BUNDLED], [*EXAMPLES]), SCENES, "scene")
     names = list(selected)
     motions = one_by_one(names, lambda name: selected[name](), progress, "scenes")
-    walls: list[list[float]] = [[] for _ in names]
-    verdicts = [""] * len(names)
+    reports: dict[str, list[Report]] = {name: [] for name in names}
 
-    def comparison(k: int) -> Callable[[], None]:
-        def run() -> None:
-            report = compare(motions[k])
-            walls[k].append(report.wall_full)
-            verdicts[k] = str(report.verdict)
+    def comparison(name: str, motion: Trajectory) -> Action:
+        return repeated(lambda: reports[name].append(compare(motion)))
 
-        return run
-
-    actions = [repeated(comparison(k)) for k in range(len(names))]
-    times = alternating(actions, rounds=_ROUNDS, span=1e-3)
-    seconds = np.nanmedian(times, axis=0).tolist()
-    rows = [
-        SimpleNamespace(
-            scene=name, seconds=s, integrations=s / float(np.median(wall)), verdict=verdict
+    actions = [comparison(*case) for case in zip(names, motions, strict=True)]
+    times = np.nanmedian(alternating(actions, rounds=_ROUNDS, span=1e-3), axis=0).tolist()
+    rows = []
+    for seconds, (name, own) in zip(times, reports.items(), strict=True):
+        integrations = seconds / float(np.median([report.wall_full for report in own]))
+        verdict = str(own[-1].verdict)
+        rows.append(
+            SimpleNamespace(scene=name, seconds=seconds, integrations=integrations, verdict=verdict)
         )
-        for name, s, wall, verdict in zip(names, seconds, walls, verdicts, strict=True)
-    ]
     return Table("compare", tuple(rows), {"seconds": "s"})
-
-
-_FILMED, _FILMED_EXAMPLES = ("falling_cat", "satellite_two_arms"), ("solo12", "talos")
-_SPAN, _TIMED = 2.0, 15  # duration [s] and number of frames of a measurement
-
-
-@checks_arguments
-def bench_films(robots: Sequence[str] = (), *, progress: Progress | bool | None = None) -> Table:
-    """Measure the time of a film's frame for each robot.
-
-    Args:
-        robots: Names or files; two bundled robots and, if installed, solo12 and talos by default.
-        progress: True for a progress bar, or a function of the completed fraction.
-    Returns:
-        A row for each robot: the number of triangles, the median processor time of a frame without
-        its encoding [s], and frames per second.
-    """
-    names = robots_to_measure(robots, _FILMED, _FILMED_EXAMPLES)
-    return Table("films", tuple(one_by_one(names, _bench_film, progress, "films")), {"frame": "s"})
-
-
-def _bench_film(name: str) -> SimpleNamespace:
-    traj = simulate(load(name, gravity=(0.0, 0.0, 0.0)), seed=1, duration=_SPAN)
-    frames, times = Frames(traj, View(fps=FILM_FPS), SIZE), cycle(np.linspace(0.0, _SPAN, _TIMED))
-    draw = repeated(lambda: frames.draw(float(next(times))))
-    seconds = alternating([draw], rounds=_TIMED, span=0.0, clock=time.process_time)
-    frame = float(np.median(seconds))
-    return SimpleNamespace(
-        robot=name, triangles=frames.triangles, frame=frame, per_second=1.0 / frame
-    )
 
 
 _PROCESSES = 3  # number of timed processes of each first call
@@ -373,49 +332,24 @@ def bench_threads(
 ) -> Table:
     """Measure simulate_many from random states on one thread and on two.
 
-    Memory allocated by Python and numpy is measured; the compiled code allocates none.
-
     Args:
         robot: Name or file.
-        members: Number of members, at least 1.
+        members: Number of members.
         rounds: Number of rounds, of which the median is reported.
         progress: True for a progress bar, or a function of the completed fraction.
     Returns:
-        A row for each number of threads: the median wall time [s], and in bytes for each member,
-        the memory that the trajectories keep, and the peak beyond it.
+        A row for each number of threads: the median wall time of the whole call [s].
     Raises:
         InputError: No member.
     """
-    if members < 1:
-        raise InputError(f"members must be at least 1, got {members}")
     system = load(robot, gravity=(0.0, 0.0, 0.0))
-    states = [random_state(system, seed) for seed in range(members)]
-    x0, xdot0, xi0 = (np.array([getattr(s, name) for s in states]) for name in ("x", "xdot", "xi"))
-    options: dict[str, Any] = {"x0": x0, "xdot0": xdot0, "xi0": xi0, "times": [_DURATION]}
-    calls = [partial(simulate_many, system, **options, threads=threads) for threads in (1, 2)]
+    call = partial(simulate_many, system, seeds=range(members), times=[_DURATION])
+    actions = [repeated(partial(call, threads=threads)) for threads in (1, 2)]
     with shown(progress, "threads") as bar:
-        times = alternating(
-            [repeated(call) for call in calls], rounds=rounds, progress=bar or quiet
-        )
-    rows = []
-    for k, (call, wall) in enumerate(zip(calls, np.median(times, axis=0).tolist(), strict=True)):
-        tracemalloc.start()
-        try:
-            kept_alive = call()  # noqa: F841
-            kept, peak = tracemalloc.get_traced_memory()
-        finally:
-            tracemalloc.stop()
-        rows.append(
-            SimpleNamespace(
-                threads=k + 1, wall=wall, kept=kept / members, extra=(peak - kept) / members
-            )
-        )
-    speedup = float(np.median(times[:, 0] / times[:, 1]))
-    return Table(
-        "threads",
-        tuple(rows),
-        {"wall": "s", "kept": "bytes", "extra": "bytes"},
-        f"{system.name}: {members} trajectories of {_DURATION:g} s, whole call",
-        (f"two threads are {speedup:.2f} times faster",),
-        {"robot": system.name, "members": members},
-    )
+        times = alternating(actions, rounds=rounds, progress=bar or quiet)
+    walls = np.median(times, axis=0).tolist()
+    rows = tuple(SimpleNamespace(threads=k + 1, wall=wall) for k, wall in enumerate(walls))
+    title = f"{system.name}: {members} trajectories of {_DURATION:g} s, whole call"
+    notes = (f"two threads are {np.median(times[:, 0] / times[:, 1]):.2f} times faster",)
+    shared = {"robot": system.name, "members": members}
+    return Table("threads", rows, {"wall": "s"}, title, notes, shared)

@@ -1,7 +1,6 @@
 """Times of kernels and of flows.
 
-An evaluation of a kernel is compared with `pin.aba`. A gradient of a flow is compared with a run,
-and with CVODES's adjoint.
+An evaluation of a kernel is compared with `pin.aba`, and a gradient of a flow with a run.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pinocchio as pin
 
@@ -20,11 +18,9 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.waiting import Progress, one_by_one
 from ...integrators.integrate import Integration
-from ...integrators.run_derivatives import run_back
 from ...kernels.build import build_kernel
 from ...kernels.evaluate import repeat, repeat_adjoint
 from ...kernels.kernel import Kernel, Structure
-from ...kernels.reduced_graph import ReducedGraph
 from ...reduction.cyclic_joints import cyclic_joints
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...simulation.flow_map.flow import Flow, flow
@@ -106,13 +102,12 @@ def bench_flow(robots: Sequence[str] = (), *, progress: Progress | bool | None =
         progress: True for a progress bar, or a function of the completed fraction.
     Returns:
         A row for each robot. Times in runs include the forward run; those of JAX are in addition to
-        pinred's. `adjoint` is relative to an evaluation of the rate; `cvodes` and `apart` compare
-        with CVODES's adjoint (CasADi, same tolerance).
+        pinred's. `adjoint` is relative to an evaluation of the rate.
     """
     rows = one_by_one(robots_to_measure(robots), _bench_flow, progress, "flows")
     units = dict.fromkeys(("integration", "call", "simulate", "step"), "µs")
     units |= dict.fromkeys(("jvp", "gradient", "inertias", "gauss"), "runs")
-    units |= dict.fromkeys(("jax", "jax_gradient"), "+µs") | {"cvodes": "×", "adjoint": "rates"}
+    units |= {"adjoint": "rates"} | dict.fromkeys(("jax", "jax_gradient"), "+µs")
     return Table("flow", tuple(rows), units)
 
 
@@ -150,12 +145,11 @@ def _bench_flow(name: str) -> SimpleNamespace:
     seconds = fastest(actions, rounds=_ROUNDS, span=_BURST)
     alone, whole, linear, call, jvp, rate, adjoint, *runs = (1e6 * lapse for lapse in seconds)
     jax, jax_gradient = runs[6:] or (np.nan, np.nan)
-    own, by_cvodes, slower = beside_cvodes(by_motion, 1e-8)
     return SimpleNamespace(
         robot=name, steps=solution.steps, integration=alone, call=call, simulate=whole, step=linear,
         jvp=jvp / runs[0], gradient=runs[1] / runs[0], inertias=runs[3] / runs[2],
-        gauss=runs[5] / runs[4], jax=jax - call, jax_gradient=jax_gradient - runs[1], cvodes=slower,
-        apart=float(np.abs(by_cvodes - own).max() / np.abs(own).max()), adjoint=adjoint / rate,
+        gauss=runs[5] / runs[4], adjoint=adjoint / rate, jax=jax - call,
+        jax_gradient=jax_gradient - runs[1],
     )  # fmt: skip
 
 
@@ -191,60 +185,3 @@ def _of_jax(made: Flow) -> list[Callable[[], object]]:
         lambda: jax.block_until_ready(compiled_flow(shape(), *inputs)),
         lambda: jax.block_until_ready(slope(shape(), *inputs)),
     ]
-
-
-_MOST = 1_000_000  # largest number of steps of CVODES
-_LONGEST = 3.0  # time limit for all runs of each of the two adjoints [s]
-
-
-def beside_cvodes(
-    made: Flow, tolerance: float, *, timed: bool = True
-) -> tuple[Array, Array, float]:
-    """Compute the gradient of a flow with the adjoints of pinred and of CVODES.
-
-    The flow must use an explicit method over a single segment. The component along each
-    quaternion's length is excluded: the flow normalises quaternions, CVODES does not.
-
-    Args:
-        made: The flow.
-        tolerance: Relative tolerance of CVODES.
-        timed: Whether to measure the time of both adjoints.
-    Returns:
-        Gradients of λ · y at the end with respect to the initial reduced state and parameters, by
-        pinred and by CVODES, (n + p,) each; and the ratio of CVODES's time to pinred's, forward run
-        included, of the fastest of several alternating rounds, or NaN if not timed.
-    """
-    propagator, kernel = made.propagator, made.propagator.kernel
-    run = made.run({})
-    (solution,) = run.solutions
-    y0, times = solution.states[0].copy(), solution.times
-    covector = np.random.default_rng(0).normal(size=len(y0))
-    none = np.zeros((len(times), len(y0)))
-    rate = ReducedGraph(kernel.system, kernel.structure, kernel.forces).rate()
-    y, p = ca.SX.sym("y", rate.numel_in(0)), ca.SX.sym("p", rate.numel_in(1))
-    options = {"reltol": tolerance, "abstol": 1e-2 * tolerance, "max_num_steps": _MOST}
-    dae = {"x": y, "p": p, "ode": rate(y, p)}
-    integrator = ca.integrator("cvodes", "cvodes", dae, 0.0, made.scene.end, options)
-    adjoint = integrator.factory("adjoint", ["x0", "p", "adj:xf"], ["adj:x0", "adj:p"])
-    by_cvodes = partial(adjoint, y0, solution.params, covector)
-
-    def own() -> Any:
-        (now,) = propagator.run(run.given, stages=True).solutions
-        return run_back(propagator.method, propagator.field, now, times, covector, none)
-
-    mine = own()
-    gradients = [
-        np.concatenate([mine.by_state, mine.by_parameters]),
-        np.concatenate([np.array(part).ravel() for part in by_cvodes()]),
-    ]
-    first, count = kernel.layout.quaternions
-    for k in range(first, first + 4 * count, 4):
-        place = slice(k, k + 4)
-        q = y0[place] / np.linalg.norm(y0[place])
-        for gradient in gradients:
-            gradient[place] -= q * (q @ gradient[place])
-    slower = np.nan
-    if timed:
-        slow, fast = fastest([repeated(by_cvodes), repeated(own)], budget=_LONGEST)
-        slower = slow / fast
-    return gradients[0], gradients[1], slower

@@ -350,24 +350,20 @@ def compile_members(members: Sequence[Problem]) -> CompiledFlow:
     return flows
 
 
-@dataclass(frozen=True)
-class Drift:
-    """Relative changes of conserved quantities from the start to the end of a motion.
+def compute_drift(problem: Problem, q: Array, v: Array) -> tuple[float, float]:
+    """Compute the relative changes of conserved quantities from the start to a final state.
 
-    Attributes:
-        energy: Change of energy relative to the initial kinetic energy T, which excludes the
-            uniform motion of the centre of mass.
-        momentum: Largest change of a conserved component, relative to √(2mT); for angular
-            components, to √(2mT) times the radius of gyration. Angular momentum is taken about
-            the centre of mass if the group translates, else about the pivot.
+    Args:
+        problem: The problem.
+        q: Final configuration, (nq,).
+        v: Final velocity, (n,).
+    Returns:
+        The change of energy relative to the initial kinetic energy T, which excludes the uniform
+        motion of the centre of mass; and the largest change of a conserved component of momentum,
+        relative to √(2mT), or for angular components to √(2mT) times the radius of gyration.
+        Angular momentum is taken about the centre of mass if the group translates, else about the
+        pivot.
     """
-
-    energy: float
-    momentum: float
-
-
-def compute_drift(problem: Problem, q: Array, v: Array) -> Drift:
-    """Compute the drift between the start of a problem and a final state q (nq,), v (n,)."""
     full, system, start = problem.full, problem.system, problem.start
     k = system.group.linear
     q0, v0 = problem.q0, problem.v0
@@ -382,10 +378,8 @@ def compute_drift(problem: Problem, q: Array, v: Array) -> Drift:
     unit[k:] *= full.totals.radius_of_gyration(q0)
     energy = total + full.totals.potential_energy(q0)
     gained = full.totals.kinetic_energy(q, v) + full.totals.potential_energy(q) - energy
-    return Drift(
-        energy=float(abs(gained) / scale if scale > 0.0 else abs(gained)),
-        momentum=float(np.max(np.abs(after - before) / np.where(unit > 0.0, unit, 1.0))),
-    )
+    drift = abs(gained) / scale if scale > 0.0 else abs(gained)
+    return float(drift), float(np.max(np.abs(after - before) / np.where(unit > 0.0, unit, 1.0)))
 
 
 ATOL = 0.01  # ratio of absolute to relative tolerance, for methods with both
