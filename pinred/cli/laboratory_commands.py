@@ -43,7 +43,6 @@ def add_bench_arguments(sub: argparse.ArgumentParser) -> None:
 
     add("kernels", "time of one kernel evaluation against pin.aba", "robots", "a few")
     _add_accuracy_options(add("accuracy", "run time against error, also of other tools"))
-    add("flow", "calls, gradients, and variable inertias of flows", "robots", "four")
     add("compare", "time of comparisons, and of one integration by ABA", "scenes", "all installed")
     add("first", "first calls with empty caches", "calls", "all")
     text = "trajectories per second of a batch, also with other tools"

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
+import flow_cost
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -21,7 +22,6 @@ from pinred.laboratory.bench import (
     bench_many,
     bench_threads,
     call_timing,
-    kernel_timing,
     timing,
 )
 from pinred.laboratory.bench.call_timing import BATCH_SOLVERS
@@ -100,19 +100,19 @@ def test_chain_inertia_in_closed_form() -> None:
 
 
 @pytest.mark.by_hand
-def test_bench_flow_measures_the_default_robots(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_flow_cost_measures_the_default_robots(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bodies of joints that move several links have names that flows accept."""
-    monkeypatch.setattr(kernel_timing, "_ROUNDS", 1)
-    monkeypatch.setattr(kernel_timing, "_BURST", 1e-6)
-    for result in kernel_timing.bench_flow():
+    monkeypatch.setattr(flow_cost, "_ROUNDS", 1)
+    monkeypatch.setattr(flow_cost, "_BURST", 1e-6)
+    for result in flow_cost.measure_flows():
         assert min(result.integration, result.gradient, result.inertias, result.gauss) > 0.0
 
 
-def test_bench_flow_measures_every_ratio(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_flow_cost_measures_every_ratio(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each ratio is positive, and appears in the table."""
-    monkeypatch.setattr(kernel_timing, "_ROUNDS", 2)
-    monkeypatch.setattr(kernel_timing, "_BURST", 1e-5)
-    table = kernel_timing.bench_flow(["coupled_planar"])
+    monkeypatch.setattr(flow_cost, "_ROUNDS", 2)
+    monkeypatch.setattr(flow_cost, "_BURST", 1e-5)
+    table = flow_cost.measure_flows(["coupled_planar"])
     (result,) = table
     ratios = [result.jvp, result.gradient, result.inertias, result.gauss, result.adjoint]
     assert min(*ratios, result.call, result.simulate, result.step) > 0.0

@@ -11,10 +11,9 @@ from .accuracy import own_method as own_method
 from .accuracy import reference_of as reference_of
 from .call_timing import bench_compare as bench_compare
 from .call_timing import bench_first_calls as bench_first_calls
+from .call_timing import bench_kernels as bench_kernels
 from .call_timing import bench_many as bench_many
 from .call_timing import bench_threads as bench_threads
-from .kernel_timing import bench_flow as bench_flow
-from .kernel_timing import bench_kernels as bench_kernels
 from .problems import SCENES as SCENES
 from .problems import End as End
 from .problems import PreparedRun as PreparedRun

@@ -1,4 +1,4 @@
-"""Times of whole calls: comparisons, first calls, and batches.
+"""Times of kernels, and of whole calls: comparisons, first calls, and batches.
 
 Batches of members run at a requested error, also with other tools, on one thread; `simulate_many`
 on two threads. The processor time of batches is measured instead of their wall time: calls take
@@ -8,6 +8,7 @@ milliseconds, and other processes on the machine would distort their wall time.
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -17,9 +18,11 @@ from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 
 import numpy as np
+import pinocchio as pin
 
 from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError, IntegrationError, PinredError
+from ...common.object_cache import ObjectCache
 from ...common.waiting import Progress, one_by_one, quiet, shown
 from ...forces.kinds import Damper
 from ...integrators.integrate_many import Solutions, integrate_many
@@ -28,25 +31,100 @@ from ...integrators.methods import DOP853
 from ...judge.compare import compare
 from ...judge.reference_solution import FINEST, FullMotion
 from ...judge.verdict import Report
+from ...kernels.build import build_kernel
 from ...kernels.derived_code import wide_rate
+from ...kernels.evaluate import repeat
+from ...kernels.kernel import Kernel, Structure
+from ...reduction.cyclic_joints import cyclic_joints
+from ...reduction.pointwise_reduction import PointwiseReduction
 from ...simulation.members.integrate_members import lanes_of
 from ...simulation.simulate import simulate
 from ...simulation.simulate_many import simulate_many
 from ...simulation.trajectory import Trajectory
 from ...system.load import load
+from ...system.system import System
 from .peers.heyoka import HEYOKA_BATCH
 from .peers.mujoco import ROLLOUT
 from .problems import (
+    FAMILIES,
     End,
     PreparedRun,
     Problem,
     Solver,
+    chain,
     compile_members,
     generate_members,
     problems_named,
     select_named,
 )
-from .timing import Action, Table, alternating, repeated, robots_to_measure
+from .timing import Action, Table, alternating, repeated, robots_to_measure, timed
+
+_ROBOTS = ("coupled_planar", "planar_chain5", "falling_cat", "satellite_two_arms")
+_EXAMPLE_ROBOTS = ("ur5", "solo12", "talos")
+_CHAIN = re.compile(f"({'|'.join(FAMILIES)})-([0-9]+)")
+
+
+class _NoCache(ObjectCache):
+    """A kernel cache that stores nothing, so that compilation is measured."""
+
+    def get(self, key: str) -> None:
+        """Return None: nothing is cached."""
+
+    def put(self, key: str, code: bytes) -> bool:  # noqa: ARG002
+        """Discard the code, and return False."""
+        return False
+
+
+@checks_arguments
+def bench_kernels(robots: Sequence[str] = (), *, progress: Progress | bool | None = None) -> Table:
+    """Measure the cost of each robot's kernel, with momentum and without forces.
+
+    Args:
+        robots: Names or files, and chains such as planar-20 and spatial-100; four bundled robots
+            and, if installed, ur5, solo12 and talos by default.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        A row for each robot: its number of joints, the instructions of the CasADi graph, the time
+        from the model to the address of machine code [s], the time of an evaluation of the kernel
+        and of `pin.aba` called from Python [µs], and the ratio of these two.
+    """
+    names = robots_to_measure(robots, _ROBOTS, _EXAMPLE_ROBOTS)
+    rows = tuple(one_by_one(names, _bench_kernel, progress, "kernels"))
+    return Table("kernels", rows, {"build": "s", "kernel": "µs", "pin_aba": "µs"})
+
+
+def _bench_kernel(name: str) -> SimpleNamespace:
+    system = _robot(name)
+
+    def build() -> Kernel:
+        structure = Structure(zero_momentum=False, cyclic=cyclic_joints(PointwiseReduction(system)))
+        return build_kernel(system, structure, cache=_NoCache())
+
+    kernel, seconds = timed(build)
+    rng = np.random.default_rng(0)
+    y = rng.normal(size=kernel.layout.size)
+    parameters = rng.normal(size=kernel.layout.parameters)
+    model, data = system.model, system.model.createData()
+    q = system.q(system.group.identity(), rng.normal(size=system.m))
+    v = system.joint_rates(rng.normal(size=system.n))
+    tau = np.zeros(model.nv)
+    actions = [
+        partial(repeat, kernel.rate.address, parameters, y),
+        repeated(lambda: pin.aba(model, data, q, v, tau)),
+    ]
+    cost, aba = (1e6 * np.median(alternating(actions), axis=0)).tolist()
+    return SimpleNamespace(
+        robot=name, joints=system.m, instructions=kernel.instructions, build=seconds, kernel=cost,
+        pin_aba=aba, ratio=aba / cost,
+    )  # fmt: skip
+
+
+def _robot(name: str) -> System:
+    """Return a chain, or load a robot without gravity."""
+    if match := _CHAIN.fullmatch(name):
+        return chain(match[1], int(match[2]))
+    return load(name, group="SE3" if name == "ur5" else None, gravity=(0.0, 0.0, 0.0))
+
 
 _ROUNDS = 7
 
