@@ -8,11 +8,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-from ..common.errors import InputError, OutputError
+from ..common.errors import InputError
+from ..common.errors import OutputError
 from ..common.files import write_table
 from ..common.waiting import Wait
-from .command_options import add_options, option_adder, out_path
+from .command_options import add_options
+from .command_options import option_adder
+from .command_options import out_path
 
 if TYPE_CHECKING:
     from ..laboratory.bench.work_precision import WorkPrecision
@@ -41,30 +43,12 @@ def add_bench_arguments(sub: argparse.ArgumentParser) -> None:
         command.add_argument("--members", metavar="N", type=int, default=count, help=text)
 
     add("kernels", "time of one kernel evaluation against pin.aba", "robots", "a few")
-    add("forces", "kernels with forces that observe the base", "robots", "four")
     _add_accuracy_options(add("accuracy", "run time against error, also of other tools"))
-    text = "evaluations that an accuracy costs, for many methods"
-    add("evaluations", text, "scenes", "four")
-    add("flow", "calls, gradients, and variable inertias of flows", "robots", "four")
-    text = "forward and backward derivatives of flows, and the state Jacobian of kernels"
-    add("derivatives", text, "robots", "four")
-    add("scaling", "one kernel evaluation for chains of 5 to 100 joints")
-    add("floquet", "Floquet multipliers by three routes against a closed form")
     add("compare", "time of comparisons, and of one integration by ABA", "scenes", "all installed")
     add("first", "first calls with empty caches", "calls", "all")
-    add("films", "processor time of a film's frame", "robots", "four")
-    add("loops", "gaps of closed loops in MuJoCo, whose constraints are soft, and in pinred")
-    text = "joint stops of MuJoCo, which are soft, of Drake's discrete solver, and of pinred"
-    add("stops", text)
     text = "trajectories per second of a batch, also with other tools"
     add_members(add("many", text, "scenes", "five"), 512)
-    text = "the chosen method, compared with the fastest one that is at least as accurate"
-    methods = add("methods", text, "scenes", "all of up to 20 joints")
-    methods.add_argument(
-        "--held", metavar="N", dest="held", type=int, default=200,
-        help="number of random robots with springs and held joints (default: 200)",
-    )  # fmt: skip
-    threads = add("threads", "time and memory of simulate_many on one and two threads")
+    threads = add("threads", "time of simulate_many on one and two threads")
     threads.add_argument("robot", nargs="?", default="solo12", help="robot (default: solo12)")
     add_members(threads, 1000)
 
@@ -76,12 +60,8 @@ def run_bench(arguments: argparse.Namespace) -> int:
         return _run_accuracy(arguments, folder)
     from ..laboratory import bench
 
-    names = ("robots", "scenes", "calls", "members", "held")
+    names = ("robots", "robot", "scenes", "calls", "members")
     options = {name: value for name, value in vars(arguments).items() if name in names}
-    if "robot" in arguments:
-        from ..system.load import load
-
-        options["system"] = load(arguments.robot, gravity=(0.0, 0.0, 0.0))
     name = "first_calls" if arguments.measurement == "first" else arguments.measurement
     with Wait(f"measures: {arguments.measurement}"):
         results = getattr(bench, f"bench_{name}")(**options, progress=True)
@@ -131,7 +111,6 @@ def _add_accuracy_options(sub: argparse.ArgumentParser) -> None:
 def _run_accuracy(arguments: argparse.Namespace, folder: Path | None) -> int:
     """Measure the results that the folder lacks; print and write all of them.  Returns 0."""
     from ..laboratory.bench.accuracy import (
-        ALL_SOLVERS,
         DEFAULT,
         FULL,
         QUICK,
@@ -147,11 +126,10 @@ def _run_accuracy(arguments: argparse.Namespace, folder: Path | None) -> int:
         print("methods:", ", ".join(method.name for method in SOLVERS))
         return 0
     effort = QUICK if arguments.quick else FULL if arguments.full else DEFAULT
-    solvers = ALL_SOLVERS if arguments.full else SOLVERS
     names = _split(arguments.scenes)
     if names == ["all"] or (names is None and arguments.full):
         names = list(SCENES)
-    methods = solvers_named(_split(arguments.methods), solvers)
+    methods = solvers_named(_split(arguments.methods))
     problems, missing = problems_named(names)
     tolerances = _parse_tolerances(arguments.tolerances)
     results = continue_accuracy(problems, methods, tolerances, effort, folder)
@@ -205,12 +183,13 @@ def add_stress_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_stress(arguments: argparse.Namespace) -> int:
     """Run the checks.  Returns 0, or 1 if a check fails."""
-    from ..laboratory.stress.check import Trial, run_checks, select_checks, table
+    from ..laboratory.stress.check import Trial, run_check, select_checks, table
 
     checks = select_checks(arguments.only.split(",") if arguments.only else ())
     trial = Trial(effort="full" if arguments.full else "usual")
     outcomes = []
-    for outcome in run_checks(checks, trial, on_case=_progress_of_stress):
+    for check in checks:
+        outcome = run_check(check, trial, _progress_of_stress)
         outcomes.append(outcome)
         if sys.stderr.isatty():
             sys.stderr.write("\r\033[K")

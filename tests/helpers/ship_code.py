@@ -12,16 +12,16 @@ import filecmp
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+import numpy as np
+from collections.abc import Callable
+from collections.abc import Iterator
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from shutil import copytree, rmtree
+from shutil import copytree
+from shutil import rmtree
 from tempfile import TemporaryDirectory
 from typing import Any
-
-import numpy as np
-
 from pinred.analysis.phases.gait import Gait
 from pinred.analysis.phases.phase import phase
 from pinred.analysis.stability.linearised_flow import linearised_flow
@@ -29,9 +29,13 @@ from pinred.cli.installation_commands import warm_caches
 from pinred.common.errors import InputError
 from pinred.forces.kinds import Torque
 from pinred.forces.signals.signal import Hold
-from pinred.integrators.methods import DOP853, METHODS, Explicit, Tsit5
+from pinred.integrators.methods import DOP853
+from pinred.integrators.methods import METHODS
+from pinred.integrators.methods import Explicit
+from pinred.integrators.methods import Tsit5
 from pinred.integrators.stepping import shipped_code
-from pinred.integrators.stepping.call_wrapper import ArgumentType, Bitcode
+from pinred.integrators.stepping.call_wrapper import ArgumentType
+from pinred.integrators.stepping.call_wrapper import Bitcode
 from pinred.judge.compare import compare
 from pinred.kernels.device.device_code import loop_arguments
 from pinred.kernels.device.few_rows import stepper_with_few_rows
@@ -40,8 +44,11 @@ from pinred.simulation.simulate import simulate
 from pinred.simulation.simulate_many import simulate_many
 from pinred.system.load import load
 from pinred.system.system import System
-from pinred.views.playback.film import SIZE, Frames
-from pinred.views.playback.view_options import FILM_FPS, View
+from pinred.views.playback.film import SIZE
+from pinred.views.playback.film import Frames
+from pinred.views.playback.view_options import FILM_FPS
+from pinred.views.playback.view_options import View
+from pinred.kernels.kernel import repeat, repeat_adjoint
 
 # The compiler of all shipped bitcode.  Newer versions of LLVM read bitcode of this one, the oldest
 # that pinred supports, but not conversely.
@@ -168,8 +175,6 @@ def _without_variables(method: str) -> Any:
 
 def _uncommon(system: System) -> Any:
     """Read a batch, prescribe a joint, linearise a motion, and follow a gait, and more."""
-    from pinred.laboratory.bench.kernel_timing import kernel_repetitions
-
     driven: dict[str, Any] = {
         "duration": _DURATION,
         "prescribed": {system.space.names[0]: "0.1*sin(t)"},
@@ -185,8 +190,12 @@ def _uncommon(system: System) -> Any:
     stops: Any = {system.shape_names[0]: (-3.0, 3.0)}
     flow(system, wrt=["x0"], seed=1, duration=_DURATION, stops=stops).jacobian()
     linearised_flow(simulate(system, seed=1, duration=_DURATION)).advance(_DURATION)
-    for repeat in kernel_repetitions(flow(system, wrt=["x0"], seed=1, duration=_DURATION)):
-        repeat(1)
+    differentiated = flow(system, wrt=["x0"], seed=1, duration=_DURATION)
+    (solution,) = differentiated.run({}).solutions
+    propagator, y, p = differentiated.propagator, solution.states[0].copy(), solution.params
+    repeat(propagator.kernel.rate.address, p, y, 1)
+    gradient = np.empty(len(y) + len(p))
+    repeat_adjoint(propagator.field.adjoint(), y, p, np.ones(len(y)), gradient, 1)
     return (
         simulate_many(system, seeds=range(8), times=[_DURATION]).x,
         phase(system, Gait.waypoints(corners)),

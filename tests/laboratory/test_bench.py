@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
+import flow_cost
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -14,22 +15,16 @@ from commands import python
 
 import pinred
 from pinred.cli.main import main
-from pinred.common.errors import InputError
+from pinred.common.errors import InputError, LoadError
 from pinred.laboratory.bench import (
     Table,
-    bench_derivatives,
-    bench_forces,
+    bench_kernels,
     bench_many,
-    bench_scaling,
     bench_threads,
     call_timing,
-    kernel_timing,
-    method_comparison,
     timing,
 )
 from pinred.laboratory.bench.call_timing import BATCH_SOLVERS
-from pinred.laboratory.bench.kernel_timing import scaling_table
-from pinred.laboratory.bench.method_comparison import CANDIDATES, choice_of
 from pinred.laboratory.bench.problems import chain
 
 pytestmark = pytest.mark.slow
@@ -104,43 +99,28 @@ def test_chain_inertia_in_closed_form() -> None:
         chain("helical", 3)
 
 
-def test_bench_forces_counts_integrated_states(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    """A torque adds no state; a wrench adds momentum, a path, and time if needed."""
-    monkeypatch.setattr(kernel_timing, "_MANY", 2)
-    monkeypatch.setattr(kernel_timing, "_SHORT", 1e-5)
-    (result,) = bench_forces(["planar_chain5"])
-    assert result.integrated == "11, 11, 16, 17"
-    assert min(result.torque, result.wrench, result.full) > 0.0
-    assert main(["bench", "forces", "elroys_beanie", "--out", str(tmp_path)]) == 0
-    assert capsys.readouterr().out.split()[:5] == ["robot", "free", "torque", "wrench", "full"]
-    assert (tmp_path / "forces.csv").read_text().startswith("robot,free,torque,wrench,full")
+@pytest.mark.by_hand
+def test_flow_cost_measures_the_default_robots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bodies of joints that move several links have names that flows accept."""
+    monkeypatch.setattr(flow_cost, "_ROUNDS", 1)
+    monkeypatch.setattr(flow_cost, "_BURST", 1e-6)
+    for result in flow_cost.measure_flows():
+        assert min(result.integration, result.gradient, result.inertias, result.gauss) > 0.0
 
 
-def test_bench_derivatives_measures_every_ratio(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each ratio is a positive number, and appears in the table."""
-    monkeypatch.setattr(kernel_timing, "_DERIVATIVE_ROUNDS", 2)
-    monkeypatch.setattr(kernel_timing, "_BURST", 1e-5)
-    table = bench_derivatives(["coupled_planar"])
+def test_flow_cost_measures_every_ratio(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each ratio is positive, and appears in the table."""
+    monkeypatch.setattr(flow_cost, "_ROUNDS", 2)
+    monkeypatch.setattr(flow_cost, "_BURST", 1e-5)
+    table = flow_cost.measure_flows(["coupled_planar"])
     (result,) = table
-    ratios = [value for value in vars(result).values() if isinstance(value, float)]
-    assert len(ratios) == 8
-    assert min(ratios) > 0.0
+    ratios = [result.jvp, result.gradient, result.inertias, result.gauss, result.adjoint]
+    assert min(*ratios, result.call, result.simulate, result.step) > 0.0
     names, units, row = str(table).splitlines()
     assert all(f"{ratio:.3g}" in row for ratio in ratios)
-    assert len(names.split()) == 10
-    assert units.split() == ["[runs]"] * 2 + ["[rates]"] * 5 + ["[aba]"]
+    assert len(names.split()) == 13
+    assert units.split().count("[runs]") == 4
     assert len(names) == len(units) == len(row)
-
-
-@pytest.mark.by_hand
-def test_bench_flow_measures_the_default_robots(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bodies of joints that move several links have names that flows accept."""
-    monkeypatch.setattr(kernel_timing, "_ROUNDS", 1)
-    monkeypatch.setattr(kernel_timing, "_BURST", 1e-6)
-    for result in kernel_timing.bench_flow():
-        assert min(result.integration, result.gradient, result.inertias, result.gauss) > 0.0
 
 
 def test_table_aligns_columns() -> None:
@@ -166,26 +146,15 @@ def test_table_aligns_columns() -> None:
     assert str(Table("none", (), notes=("nothing to measure",))) == "nothing to measure"
 
 
-def test_scaling_fits_power_law() -> None:
-    """Chains must have increasing numbers of joints."""
-    n = np.array([5, 20, 50, 100])
-    law = [
-        SimpleNamespace(
-            joints=k, instructions=3 * k, build=0.1 * k, per_joint=1.0,
-            kernel=9.0 if k < 20 else k**1.5,
-        )
-        for k in n.tolist()
-    ]  # fmt: skip
-    assert "to the power 1.50, instructions 1.00" in str(scaling_table("made", law))
-    result = bench_scaling((2, 4), rounds=1)
-    assert [item.shared["family"] for item in result] == ["planar", "spatial"]
-    for item in result:
-        assert item[0].instructions < item[1].instructions <= 3 * item[0].instructions
-        assert all(row.kernel > 0.0 and row.build > 0.0 for row in item)
-        assert all(row.per_joint == 1e3 * row.kernel / row.joints for row in item)
-        assert item.notes == ()
-    with pytest.raises(InputError, match="increasing"):
-        bench_scaling((4, 2))
+def test_bench_kernels_measures_chains() -> None:
+    """Instructions grow in proportion to the joints; a chain may have any number of them."""
+    short, long, robot = bench_kernels(["planar-2", "planar-4", "coupled_planar"])
+    assert [row.joints for row in (short, long, robot)] == [2, 4, 1]
+    assert short.instructions < long.instructions <= 3 * short.instructions
+    assert all(row.kernel > 0.0 and row.build > 0.0 for row in (short, long))
+    assert robot.ratio == robot.pin_aba / robot.kernel
+    with pytest.raises(LoadError, match="helical-3"):
+        bench_kernels(["helical-3"])
 
 
 @pytest.mark.usefixtures("code_of_default_level")
@@ -205,19 +174,13 @@ def test_bench_many_reaches_error_or_reports_failure() -> None:
         bench_many(["planar1"], members=1)
 
 
-def test_bench_threads_measures_time_and_memory() -> None:
-    """The memory is at least that of the results."""
-    system = pinred.load("falling_cat")
-    times, memory = bench_threads(system, members=8, duration=0.05, rounds=1)
-    one, two = (row.wall for row in times)
+def test_bench_threads_measures_one_and_two() -> None:
+    """The note states the ratio of the two times."""
+    table = bench_threads("falling_cat", members=8, rounds=1)
+    assert [row.threads for row in table] == [1, 2]
+    one, two = (row.wall for row in table)
     assert min(one, two) > 0.0
-    assert f"two threads are {one / two:.2f} times faster" in str(times)
-    many = pinred.simulate_many(system, seeds=range(8), times=[0.05])
-    assert [row.members for row in memory] == [2, 8]
-    assert [row.results for row in memory] == [many.y.nbytes / 4.0, many.y.nbytes]
-    assert all(row.kept >= row.results and row.extra >= 0 for row in memory)
-    with pytest.raises(InputError, match="at least 4"):
-        bench_threads(system, members=3)
+    assert f"two threads are {one / two:.2f} times faster" in str(table)
 
 
 def test_bench_commands_write_csv(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -226,7 +189,7 @@ def test_bench_commands_write_csv(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert main(["bench", "kernels", "coupled_planar", "--out", str(folder)]) == 0
     assert main(["bench", "threads", "falling_cat", "--members", "4", "--out", str(folder)]) == 0
     printed = capsys.readouterr().out
-    names = ["kernels", "threads", "threads_memory"]
+    names = ["kernels", "threads"]
     assert sorted(path.name for path in folder.iterdir()) == [f"{name}.csv" for name in names]
     assert all(f"written to {folder / name}.csv" in printed for name in names)
     with (folder / "threads.csv").open(encoding="utf-8") as file:
@@ -274,34 +237,3 @@ def test_bench_commands_reject_bad_input(
         main(["bench"])
     assert stop.value.code == 2
     assert capsys.readouterr().err.startswith("pinred: error: ")
-
-
-@pytest.mark.by_hand
-def test_floquet_routes_agree_with_closed_form(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Each route has its accuracy; the command prints and writes the results."""
-    assert main(["bench", "floquet", "--out", str(tmp_path)]) == 0
-    printed = capsys.readouterr().out
-    with (tmp_path / "floquet.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 6
-    bounds = {"pinred.floquet": 1e-11, "differences of pinred.simulate": 1e-2}
-    for row in rows:
-        assert float(row["error"]) < bounds.get(row["route"], 1e-8)
-        assert float(row["wall"]) > 0.0
-        assert row["robot"] in printed
-
-
-def test_bench_methods_compares_the_choice_with_the_fastest_accurate_method(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The ratio refers to the fastest method whose error is at most that of the chosen one."""
-    wall = dict(zip(CANDIDATES, (2.0, 4.0, 3.0, 1.0), strict=True))
-    error = dict(zip(CANDIDATES, (1e-9, 1e-10, 1e-10, 1e-6), strict=True))
-    assert choice_of("made", "DOP853", wall, error).ratio == 1.0  # Radau is less accurate.
-    assert choice_of("made", "Tsit5", wall, error).ratio == 4.0 / 3.0  # of AdaptiveGauss
-    monkeypatch.setattr(method_comparison, "CANDIDATES", ("DOP853", "AdaptiveGauss"))
-    assert main(["bench", "methods", "planar1", "--held", "0", "--out", str(tmp_path)]) == 0
-    assert "of 1 scenes within 1.3 times the fastest method" in capsys.readouterr().out
-    assert (tmp_path / "methods.csv").read_text().startswith("scene,chosen,ratio,DOP853 cpu")

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+import soft_constraints
 
 import pinred
-from pinred.laboratory.bench import bench_loops, bench_stops, soft_constraints
 
 
 def test_errors_of_soft_constraints_decrease_with_the_step(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -16,7 +16,7 @@ def test_errors_of_soft_constraints_decrease_with_the_step(monkeypatch: pytest.M
     monkeypatch.setattr(soft_constraints, "STOP_SETTINGS", settings)
     monkeypatch.setattr(soft_constraints, "DRAKE", (1e-3, 2.5e-4))
     monkeypatch.setattr(soft_constraints, "_ROUNDS", 1)
-    result = bench_stops(progress=False)
+    result = soft_constraints.measure_stops()
     rough, fine, default, elastic, coarse, short, long, brief = result
     assert result.title.endswith(": 3 impacts")
     assert fine.error < 1e-9 < rough.error < 1e-5
@@ -45,7 +45,7 @@ def test_gaps_of_soft_constraints_decrease_with_the_square_of_the_step(
     settings = (("Euler", 2e-3, 0.0), ("RK4", 4e-3, 1.0), ("RK4", 2e-3, 1.0))
     monkeypatch.setattr(soft_constraints, "LOOPED", ("four_bar",))
     monkeypatch.setattr(soft_constraints, "LOOP_SETTINGS", settings)
-    (result,) = bench_loops(progress=False)
+    (result,) = soft_constraints.measure_loops()
     rough, fine, default, coarse, short = result
     assert result.title == "four_bar: 0.5 s"
     assert pinred.load("four_bar").shape_dim == 1

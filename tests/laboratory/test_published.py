@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from inspect import ismodule
 
 import numpy as np
 import published_table
@@ -12,8 +11,7 @@ import pytest
 
 import pinred
 from pinred.cli.main import main
-from pinred.laboratory import published
-from pinred.laboratory.published import dynamics
+from pinred.laboratory.published import dynamics, locomotion
 from pinred.laboratory.published.row import ROWS, Result, numbers, select_rows
 
 
@@ -75,11 +73,8 @@ def test_numbers_of_different_counts_raise() -> None:
 
 def test_rows_use_public_names() -> None:
     """Each name that the rows import is the public object of this name."""
-    public = {
-        name: value
-        for name, value in vars(published).items()
-        if not (name.startswith("_") or ismodule(value))
-    }
+    imported = vars(dynamics) | vars(locomotion)
+    public = {name: value for name, value in imported.items() if name in pinred.__all__}
     assert len(public) > 15
     for name, value in public.items():
         assert getattr(pinred, name) is value

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
+import method_study
 import numpy as np
 import pytest
+from method_study import held_robot
 from trees import limbed_model
 
 import pinred
 from pinred import DOP853, AdaptiveGauss, Gauss, Radau
 from pinred.forces import PD, Controller, Damper, Limit, Spring, Torque
 from pinred.judge.reference_solution import FullMotion, FullState
-from pinred.laboratory.bench.method_comparison import held_robot
 from pinred.signals import Hold
 from pinred.simulation.choose_method import LANES_GAIN, Choice, radau_gain, rates_near_rest
 from pinred.simulation.plan import members_plan, plan_of
@@ -254,3 +256,17 @@ def test_explain_prints_method_and_reason(capsys: pytest.CaptureFixture[str]) ->
     )
     assert traj.run.method == "AdaptiveGauss"
     assert pinred.compare(traj).passed
+
+
+def test_study_compares_the_choice_with_the_fastest_accurate_method(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The ratio refers to the fastest method whose error is at most that of the chosen one."""
+    wall = dict(zip(method_study.CANDIDATES, (2.0, 4.0, 3.0, 1.0), strict=True))
+    error = dict(zip(method_study.CANDIDATES, (1e-9, 1e-10, 1e-10, 1e-6), strict=True))
+    compared = partial(method_study.choice_of, "made", cpu=wall, error=error)
+    assert compared("DOP853").ratio == 1.0  # Radau is less accurate.
+    assert compared("Tsit5").ratio == 4.0 / 3.0  # of AdaptiveGauss
+    monkeypatch.setattr(method_study, "CANDIDATES", ("DOP853", "AdaptiveGauss"))
+    table = method_study.compare_methods(["planar1"], 0)
+    assert "of 1 scenes within 1.3 times the fastest method" in str(table)

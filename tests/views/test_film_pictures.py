@@ -18,12 +18,11 @@ import pytest
 from cameras import sees, shape_balls
 from numpy.typing import NDArray
 from PIL import Image
-from played_robots import BY_HAND, OTHERS, ROBOTS
+from played_robots import OTHERS, ROBOTS
 from robot_texts import joint, robot
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.laboratory.bench import bench_films
 from pinred.views.playback.film import Frames, find_ffmpeg, write_gif
 from pinred.views.playback.rasteriser import (
     SIDE,
@@ -295,17 +294,6 @@ def test_options_and_gravity_add_objects() -> None:
     blue, purple = (0, 70, 130), (171, 51, 120)
     assert count(floats, blue, ghost=True) > count(floats, blue) + 20
     assert count(floats, purple, sphere="base") > count(floats, purple) + 3
-
-
-@BY_HAND
-def test_film_timing_names_triangles_and_rate() -> None:
-    """The table has a row for each robot."""
-    table = bench_films(["falling_cat"])
-    (timing,) = table
-    row = str(table).splitlines()[-1].split()
-    assert row[0] == "falling_cat"
-    assert int(row[1]) == timing.triangles > 100
-    assert float(row[3]) == pytest.approx(1.0 / timing.frame, rel=0.01)
 
 
 @pytest.mark.by_hand

@@ -38,8 +38,7 @@ from ...system.state_fields import with_base
 from .peers.aba import ABA
 from .peers.cvodes import CVODES
 from .peers.drake import DRAKE
-from .peers.exudyn import EXUDYN
-from .peers.heyoka import HEYOKA, HEYOKA_SLOW, has_heyoka, reduced_graph, taylor_expressions
+from .peers.heyoka import HEYOKA, has_heyoka, reduced_graph, taylor_expressions
 from .peers.mujoco import MUJOCO
 from .problems import (
     ATOL,
@@ -53,7 +52,7 @@ from .problems import (
     problems_named,
     select_named,
 )
-from .timing import Table, alternating, repeated, timed
+from .timing import Action, Table, alternating, repeated, timed
 from .work_precision import ERRORS, NAME, Point, WorkPrecision, read_record, write_record
 
 FROM_TOLERANCE = decades(2, 14)
@@ -120,6 +119,11 @@ def _explicit(name: str, kind: type[Explicit]) -> Solver:
     )
 
 
+def _fixed(name: str, text: str, make: Callable[[float], Integrator], count: int) -> Solver:
+    about = f"simulate() with {text}, equal steps, whole call"
+    return own_method(f"pinred-{name}", about, make, tolerances=halvings(50, count), fixed=True)
+
+
 OWN = (
     own_method("pinred", "simulate(), whole call from initial values"),
     Solver(
@@ -134,33 +138,19 @@ OWN = (
         "simulate() with AdaptiveGauss, whole call",
         lambda tol: AdaptiveGauss(tol, ATOL * tol),
     ),
-    own_method(
-        "pinred-gauss6",
-        "simulate() with Gauss of order 6, equal steps, whole call",
-        lambda step: Gauss(step, 6),
-        tolerances=halvings(50, 8),
-        fixed=True,
-    ),
-    own_method(
-        "pinred-rkmk4",
-        "simulate() with RKMK4, equal steps, whole call",
-        RKMK4,
-        tolerances=halvings(50, 14),
-        fixed=True,
-    ),
+    _fixed("gauss6", "Gauss of order 6", lambda step: Gauss(step, 6), 8),
+    _fixed("rkmk4", "RKMK4", RKMK4, 14),
 )
 
 
-SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA)
-# ALL_SOLVERS also includes methods whose preparation takes minutes.
-ALL_SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA_SLOW)
+SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *DRAKE, *CVODES, *HEYOKA)
 
 
-def solvers_named(
-    names: Sequence[str] | None, among: Sequence[Solver] = SOLVERS
-) -> tuple[Solver, ...]:
+def solvers_named(names: Sequence[str] | None) -> tuple[Solver, ...]:
     """Return the named methods, or all if None; raise InputError for an unknown name."""
-    return tuple(select_named(names, {solver.name: solver for solver in among}, "method").values())
+    return tuple(
+        select_named(names, {method.name: method for method in SOLVERS}, "method").values()
+    )
 
 
 YARDSTICK = "pinred"  # method that every run contains, so that time ratios stay within a run
@@ -262,21 +252,21 @@ def bench_problem(
     reference = reference_of(problem)
     progress(0.1)
     points: list[Point] = []
-    prepared_runs: list[tuple[int, PreparedRun]] = []
+    runs: dict[int, Action] = {}  # by number of the point
     for k, method in enumerate(available):
-        for point, prepared in _first_runs(problem, reference, method, tolerances, effort):
-            if prepared is not None:
-                prepared_runs.append((len(points), prepared))
+        for point, run_once in _first_runs(problem, reference, method, tolerances, effort):
+            if run_once is not None:
+                runs[len(points)] = repeated(run_once)
             points.append(point)
         progress(0.1 + 0.4 * (k + 1) / len(available))
     times = alternating(
-        [repeated(prepared.run) for _, prepared in prepared_runs],
+        [*runs.values()],
         rounds=effort.rounds,
         budget=effort.budget,
         progress=lambda fraction: progress(0.5 + 0.5 * fraction),
     )
-    for j, (k, _) in enumerate(prepared_runs):
-        points[k] = replace(points[k], wall=float(np.nanmedian(times[:, j])))
+    for k, walls in zip(runs, times.T, strict=True):
+        points[k] = replace(points[k], wall=float(np.nanmedian(walls)))
     return WorkPrecision(
         problem=problem.name,
         description=problem.about,
@@ -297,72 +287,41 @@ def _first_runs(
     method: Solver,
     tolerances: Sequence[float] | None,
     effort: Effort,
-) -> Iterator[tuple[Point, PreparedRun | None]]:
-    """Run a method once at each tolerance; yield its errors, and the prepared run for timing."""
+) -> Iterator[tuple[Point, Callable[[], Any] | None]]:
+    """Run a method once at each tolerance; yield its errors, and its run for timing."""
     if tolerances is None or method.fixed:
         tolerances = method.tolerances[:: effort.every]
     else:
         tolerances = tuple(sorted(tolerances, reverse=True))
     slow = ""
     for tolerance in tolerances:
-        if slow:
-            yield Point(method.name, tolerance, failure=slow), None
-            continue
-        try:
-            prepared = method.prepare(problem, tolerance)
-            result, wall = timed(prepared.run)
-            if wall > effort.patience:  # may include time to compile or load code
+        point, run = Point(method.name, tolerance, failure=slow), None
+        if not slow:
+            try:
+                prepared = method.prepare(problem, tolerance)
                 result, wall = timed(prepared.run)
-            point = _point(problem, reference, method.name, tolerance, prepared, result)
-        except PinredError as error:
-            yield Point(method.name, tolerance, failure=str(error)), None
-            continue
-        yield point, prepared
-        if wall > effort.patience:
-            slow = (
-                f"not run: a coarser tolerance took {wall:.2g} s, more than the limit of "
-                f"{effort.patience:g} s"
-            )
+                if wall > effort.patience:  # may include time to compile or load code
+                    result, wall = timed(prepared.run)
+                errors = _errors(problem, reference, prepared.end(result))
+                point, run = replace(point, build=prepared.build, **errors), prepared.run
+                if wall > effort.patience:
+                    slow = (
+                        f"not run: a coarser tolerance took {wall:.2g} s, more than the limit of "
+                        f"{effort.patience:g} s"
+                    )
+            except PinredError as error:
+                point = replace(point, failure=str(error))
+        yield point, run
 
 
-def _point(
-    problem: Problem,
-    reference: Reference,
-    method: str,
-    tolerance: float,
-    prepared: PreparedRun,
-    result: object,
-) -> Point:
-    """Return the errors of a first run; its time is measured later.
-
-    Args:
-        problem: Problem that was solved.
-        reference: Reference solution.
-        method: Name of the method.
-        tolerance: Tolerance of the run.
-        prepared: The prepared run.
-        result: Result of the run.
-    Returns:
-        The point without wall time.
-    Raises:
-        IntegrationError: The final state is not finite.
-    """
-    end = prepared.end(result)
+def _errors(problem: Problem, reference: Reference, end: End) -> dict[str, float]:
+    """Compute the numbers of a Point that follow from the final state; it must be finite."""
     if not all(np.isfinite(numbers).all() for numbers in (end.x, end.q, end.v)):
         raise IntegrationError("the final state is not finite")
     distance = problem.full.distance(reference.end, end.motion)
-    drift = compute_drift(problem, end.q, end.v)
-    return Point(
-        method=method,
-        tolerance=tolerance,
-        build=prepared.build,
-        evaluations=end.evaluations,
-        shape=float(distance.shape[0]),
-        rotation=float(distance.rotation[0]),
-        position=float(distance.position[0]),
-        energy=drift.energy,
-        momentum=drift.momentum,
-    )
+    errors = {name: float(getattr(distance, name)[0]) for name in ("shape", "rotation", "position")}
+    energy, momentum = compute_drift(problem, end.q, end.v)
+    return {**errors, "energy": energy, "momentum": momentum, "evaluations": end.evaluations}
 
 
 def continue_accuracy(
@@ -461,41 +420,36 @@ def overview(results: Sequence[WorkPrecision]) -> str:
     Returns:
         The text.
     """
-    scenes = list(dict.fromkeys(result.problem for result in results))
-    blocks = [scenes[k : k + _SIDE_BY_SIDE] for k in range(0, len(scenes), _SIDE_BY_SIDE)]
-    return "\n\n".join(_tables_of(results, block) for block in blocks)
-
-
-def _tables_of(results: Sequence[WorkPrecision], scenes: list[str]) -> str:
-    names = list(dict.fromkeys(n for r in results if r.problem in scenes for n in r.about))
-    kinds: dict[str, Callable[[WorkPrecision, str], str]] = {
+    cells: dict[str, Callable[[WorkPrecision, str], str]] = {
         f"error {error:.0e}: {YARDSTICK} [ms], and how many times longer others take": partial(
             _time_cell, error
         )
         for error in OVERVIEW_ERRORS
     }
     title = f"error / tolerance, for tolerances of {LOOSEST:.0e} … {TIGHTEST:.0e}"
-    kinds[title] = _following_cell
-    texts = []
-    for title, format_cell in kinds.items():
-        table_rows = []
-        for name in names:
-            runs = {scene: _run_with_yardstick(results, scene, name) for scene in scenes}
-            cells = {s: format_cell(run, name) if run else "—" for s, run in runs.items()}
-            if set(cells.values()) != {"—"}:
-                table_rows.append(SimpleNamespace(method=name, **cells))
-        texts += [str(Table("overview", tuple(table_rows), title=title))] if table_rows else []
-    return "\n\n".join(texts)
+    cells[title] = _following_cell
+    scenes = list(dict.fromkeys(result.problem for result in results))
+    blocks = [scenes[k : k + _SIDE_BY_SIDE] for k in range(0, len(scenes), _SIDE_BY_SIDE)]
+    texts = [_table(results, block, *cell) for block in blocks for cell in cells.items()]
+    return "\n\n".join(filter(None, texts))
 
 
-def _run_with_yardstick(
-    results: Sequence[WorkPrecision], scene: str, method: str
-) -> WorkPrecision | None:
-    """Return the run of a scene that contains both a method and pinred, or None."""
-    for result in results:
-        if result.problem == scene and {method, YARDSTICK} <= set(result.about):
-            return result
-    return None
+def _table(
+    results: Sequence[WorkPrecision],
+    scenes: list[str],
+    title: str,
+    format_cell: Callable[[WorkPrecision, str], str],
+) -> str:
+    """Format a table, in which every cell is from a run with pinred; "" if all cells are empty."""
+    table_rows = []
+    for name in dict.fromkeys(n for r in results if r.problem in scenes for n in r.about):
+        cells = dict.fromkeys(scenes, "—")
+        for run in reversed(results):  # the first run of a scene replaces later ones
+            if run.problem in cells and {name, YARDSTICK} <= set(run.about):
+                cells[run.problem] = format_cell(run, name)
+        if set(cells.values()) != {"—"}:
+            table_rows.append(SimpleNamespace(method=name, **cells))
+    return str(Table("overview", tuple(table_rows), title=title)) if table_rows else ""
 
 
 def _time_cell(error: float, result: WorkPrecision, name: str) -> str:
@@ -507,15 +461,13 @@ def _time_cell(error: float, result: WorkPrecision, name: str) -> str:
 
 def _following_cell(result: WorkPrecision, method: str) -> str:
     """Format the range of error / tolerance over points with errors above the reference error."""
-    if method not in FOLLOWING:
-        return "—"
     ratios = [
         point.error / point.tolerance
         for point in result.of(method)
         if 0.99 * TIGHTEST < point.tolerance < 1.01 * LOOSEST
         and point.error > result.reference_error
     ]
-    return f"{min(ratios):.2g} … {max(ratios):.2g}" if ratios else "—"
+    return f"{min(ratios):.2g} … {max(ratios):.2g}" if method in FOLLOWING and ratios else "—"
 
 
 _QUAD = (1e-23, 1e-20)  # tolerances in quadruple precision

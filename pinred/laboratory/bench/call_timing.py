@@ -1,4 +1,4 @@
-"""Times of whole calls: comparisons, Floquet multipliers, films, first calls, and batches.
+"""Times of kernels, and of whole calls: comparisons, first calls, and batches.
 
 Batches of members run at a requested error, also with other tools, on one thread; `simulate_many`
 on two threads. The processor time of batches is measured instead of their wall time: calls take
@@ -11,60 +11,131 @@ import os
 import subprocess
 import sys
 import time
-import tracemalloc
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+import numpy as np
+import re
+import pinocchio as pin
+from collections.abc import Callable
+from collections.abc import Sequence
 from functools import partial
-from itertools import cycle
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
-
-import numpy as np
-from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
-
-from ...analysis.equilibria.find import relative_equilibria
-from ...analysis.equilibria.relative_equilibrium import RelativeEquilibrium
-from ...analysis.stability.along_motions import floquet, linearise
-from ...analysis.stability.linearised_flow import without_base
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
-from ...common.errors import InputError, IntegrationError, PinredError
-from ...common.waiting import Progress, one_by_one, quiet, shown
+from ...common.errors import InputError
+from ...common.errors import IntegrationError
+from ...common.errors import PinredError
+from ...common.waiting import Progress
+from ...common.waiting import one_by_one
+from ...common.waiting import quiet
+from ...common.waiting import shown
 from ...forces.kinds import Damper
-from ...integrators.integrate_many import Solutions, integrate_many
+from ...integrators.integrate_many import Solutions
+from ...integrators.integrate_many import integrate_many
 from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import DOP853
 from ...judge.compare import compare
-from ...judge.reference_solution import FINEST, FullMotion
-from ...kernels.build import jacobian_of, wide_rate
+from ...judge.reference_solution import FINEST
+from ...judge.reference_solution import FullMotion
+from ...kernels.build import jacobian_of
+from ...kernels.build import wide_rate
 from ...reduction.pointwise_reduction import PointwiseReduction
-from ...scene.initial_state import random_state
-from ...scene.scene import Scene
-from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.members.integrate_members import lanes_of
-from ...simulation.members.trajectories import Trajectories
-from ...simulation.plan import plan_of
 from ...simulation.simulate import simulate
 from ...simulation.simulate_many import simulate_many
 from ...simulation.trajectory import Trajectory
 from ...system.load import load
 from ...system.system import System
-from ...views.playback.film import SIZE, Frames
-from ...views.playback.view_options import FILM_FPS, View
 from .peers.heyoka import HEYOKA_BATCH
 from .peers.mujoco import ROLLOUT
-from .problems import (
-    End,
-    PreparedRun,
-    Problem,
-    Solver,
-    compile_members,
-    generate_members,
-    problems_named,
-    select_named,
-)
-from .timing import Table, alternating, repeated, robots_to_measure
+from .problems import End
+from .problems import PreparedRun
+from .problems import Problem
+from .problems import Solver
+from .problems import compile_members
+from .problems import generate_members
+from .problems import problems_named
+from .problems import select_named
+from .timing import Table
+from .timing import alternating
+from .timing import repeated
+from .timing import robots_to_measure
+from ...common.object_cache import ObjectCache
+from ...judge.verdict import Report
+from ...kernels.build import build_kernel
+from ...kernels.evaluate import repeat
+from ...kernels.kernel import Kernel
+from ...kernels.kernel import Structure
+from ...reduction.cyclic_joints import cyclic_joints
+from .problems import FAMILIES
+from .problems import chain
+from .timing import Action
+from .timing import timed
+
+_ROBOTS = ("coupled_planar", "planar_chain5", "falling_cat", "satellite_two_arms")
+_EXAMPLE_ROBOTS = ("ur5", "solo12", "talos")
+_CHAIN = re.compile(f"({'|'.join(FAMILIES)})-([0-9]+)")
+
+
+class _NoCache(ObjectCache):
+    """A kernel cache that stores nothing, so that compilation is measured."""
+
+    def get(self, key: str) -> None:
+        """Return None: nothing is cached."""
+
+    def put(self, key: str, code: bytes) -> bool:  # noqa: ARG002
+        """Discard the code, and return False."""
+        return False
+
+
+@checks_arguments
+def bench_kernels(robots: Sequence[str] = (), *, progress: Progress | bool | None = None) -> Table:
+    """Measure the cost of each robot's kernel, with momentum and without forces.
+
+    Args:
+        robots: Names or files, and chains such as planar-20 and spatial-100; four bundled robots
+            and, if installed, ur5, solo12 and talos by default.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        A row for each robot: its number of joints, the instructions of the CasADi graph, the time
+        from the model to the address of machine code [s], the time of an evaluation of the kernel
+        and of `pin.aba` called from Python [µs], and the ratio of these two.
+    """
+    names = robots_to_measure(robots, _ROBOTS, _EXAMPLE_ROBOTS)
+    rows = tuple(one_by_one(names, _bench_kernel, progress, "kernels"))
+    return Table("kernels", rows, {"build": "s", "kernel": "µs", "pin_aba": "µs"})
+
+
+def _bench_kernel(name: str) -> SimpleNamespace:
+    system = _robot(name)
+
+    def build() -> Kernel:
+        structure = Structure(zero_momentum=False, cyclic=cyclic_joints(PointwiseReduction(system)))
+        return build_kernel(system, structure, cache=_NoCache())
+
+    kernel, seconds = timed(build)
+    rng = np.random.default_rng(0)
+    y = rng.normal(size=kernel.layout.size)
+    parameters = rng.normal(size=kernel.layout.parameters)
+    model, data = system.model, system.model.createData()
+    q = system.q(system.group.identity(), rng.normal(size=system.m))
+    v = system.joint_rates(rng.normal(size=system.n))
+    tau = np.zeros(model.nv)
+    actions = [
+        partial(repeat, kernel.rate.address, parameters, y),
+        repeated(lambda: pin.aba(model, data, q, v, tau)),
+    ]
+    cost, aba = (1e6 * np.median(alternating(actions), axis=0)).tolist()
+    return SimpleNamespace(
+        robot=name, joints=system.m, instructions=kernel.instructions, build=seconds, kernel=cost,
+        pin_aba=aba, ratio=aba / cost,
+    )  # fmt: skip
+
+
+def _robot(name: str) -> System:
+    """Return a chain, or load a robot without gravity."""
+    if match := _CHAIN.fullmatch(name):
+        return chain(match[1], int(match[2]))
+    return load(name, group="SE3" if name == "ur5" else None, gravity=(0.0, 0.0, 0.0))
+
 
 _ROUNDS = 7
 
@@ -114,147 +185,21 @@ def bench_compare(scenes: Sequence[str] = (), *, progress: Progress | bool | Non
     selected = select_named(robots_to_measure(scenes, [*BUNDLED], [*EXAMPLES]), SCENES, "scene")
     names = list(selected)
     motions = one_by_one(names, lambda name: selected[name](), progress, "scenes")
-    walls: list[list[float]] = [[] for _ in names]
-    verdicts = [""] * len(names)
+    reports: dict[str, list[Report]] = {name: [] for name in names}
 
-    def comparison(k: int) -> Callable[[], None]:
-        def run() -> None:
-            report = compare(motions[k])
-            walls[k].append(report.wall_full)
-            verdicts[k] = str(report.verdict)
+    def comparison(name: str, motion: Trajectory) -> Action:
+        return repeated(lambda: reports[name].append(compare(motion)))
 
-        return run
-
-    actions = [repeated(comparison(k)) for k in range(len(names))]
-    times = alternating(actions, rounds=_ROUNDS, span=1e-3)
-    seconds = np.nanmedian(times, axis=0).tolist()
-    rows = [
-        SimpleNamespace(
-            scene=name, seconds=s, integrations=s / float(np.median(wall)), verdict=verdict
+    actions = [comparison(*case) for case in zip(names, motions, strict=True)]
+    times = np.nanmedian(alternating(actions, rounds=_ROUNDS, span=1e-3), axis=0).tolist()
+    rows = []
+    for seconds, (name, own) in zip(times, reports.items(), strict=True):
+        integrations = seconds / float(np.median([report.wall_full for report in own]))
+        verdict = str(own[-1].verdict)
+        rows.append(
+            SimpleNamespace(scene=name, seconds=seconds, integrations=integrations, verdict=verdict)
         )
-        for name, s, wall, verdict in zip(names, seconds, walls, verdicts, strict=True)
-    ]
     return Table("compare", tuple(rows), {"seconds": "s"})
-
-
-# Robots with one rotation axis, and their angular momentum J [N·m·s].
-PROBLEMS = {"double_spherical_pendulum": 2.0, "planar_chain5": 1.0}
-ROUTES = ("pinred.floquet", "differences of pinred.simulate", "SciPy's DOP853 over the kernel")
-_STEP = 1e-4  # step of the finite differences of shape [rad] and momentum [kg m²/s]
-
-
-@checks_arguments
-def bench_floquet(*, rounds: int = 5, progress: Progress | bool | None = None) -> Table:
-    """Compute Floquet multipliers on three routes and compare them with e^{λT}.
-
-    A relative equilibrium is periodic with any period T, and its multipliers follow from the
-    eigenvalues λ of the linearised flow. The routes are `pinred.floquet`, which integrates the
-    linearised flow in machine code; finite differences of `pinred.simulate`; and SciPy's DOP853
-    over the same rates and Jacobian, called from Python. The steady motions have the lowest energy
-    of each robot in PROBLEMS.
-
-    Args:
-        rounds: Number of rounds, of which the median is reported.
-        progress: True for a progress bar, or a function of the completed fraction.
-    Returns:
-        A row for each robot and route: the period [s], the wall time [s], and the largest error of
-        multipliers relative to the largest |μ|.
-    """
-    measure = partial(_measure_routes, rounds=rounds)
-    tables = one_by_one(list(PROBLEMS), measure, progress, "floquet")
-    rows = tuple(row for table in tables for row in table)
-    return Table("floquet", rows, {"period": "s", "wall": "s"})
-
-
-def _measure_routes(name: str, rounds: int) -> list[SimpleNamespace]:
-    least = relative_equilibria(load(name), momentum=PROBLEMS[name], starts=50)[0]
-    T = 2.0 * np.pi / float(least.frequencies[0])
-    traj = simulate(least.scene(duration=T))
-    eigenvalues = linearise(traj).eigenvalues
-    exact = _sort_by_angle(np.exp(eigenvalues * T))
-    routes: list[Callable[[], Array]] = [
-        lambda: floquet(traj).monodromy,
-        lambda: _differences(least, T),
-        lambda: _by_scipy(traj.scene, T),
-    ]
-    computed = [_sort_by_angle(np.linalg.eigvals(route()).astype(complex)) for route in routes]
-    error = [float(np.abs(mu - exact).max() / np.abs(exact).max()) for mu in computed]
-    wall = np.median(alternating([repeated(route) for route in routes], rounds=rounds), axis=0)
-    return [
-        SimpleNamespace(robot=name, period=T, route=route, wall=seconds, error=largest)
-        for route, seconds, largest in zip(ROUTES, wall.tolist(), error, strict=True)
-    ]
-
-
-def _sort_by_angle(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return multipliers sorted by their rounded angle, so that round-off keeps the order."""
-    values = np.asarray(values, dtype=complex)
-    return values[np.argsort(np.round(np.angle(values), 5), kind="stable")]
-
-
-def _differences(least: RelativeEquilibrium, T: float) -> Array:
-    """Compute the monodromy matrix, (2m, 2m), from central differences of simulations."""
-    system, red = least.system, PointwiseReduction(least.system)
-    r, m = system.r, system.m
-    start = red.mass_matrix(least.x) @ np.concatenate([least.xi, least.xdot])
-    scene = least.scene(duration=T)
-    mu = np.zeros(r)  # with zero linear momentum, the angular momentum is the same about any point
-    mu[-1] = least.momentum
-
-    def final_state(change: Array) -> Array:
-        x, pi = least.x + change[:m], start[r:] + change[m:]
-        v = np.linalg.solve(red.mass_matrix(x), np.concatenate([mu, pi]))
-        end = simulate(replace(scene, x0=x, xdot0=v[r:], xi0=v[:r], times=[T], duration=None))
-        velocity = np.concatenate([end.xi[-1], end.xdot[-1]])
-        return np.concatenate([end.x[-1], (red.mass_matrix(end.x[-1]) @ velocity)[r:]])
-
-    columns = [(final_state(h) - final_state(-h)) / (2.0 * _STEP) for h in _STEP * np.eye(2 * m)]
-    return np.array(columns).T
-
-
-def _by_scipy(scene: Scene, T: float) -> Array:
-    """Compute the monodromy matrix, (k, k), with SciPy's DOP853 applied to kernel and Jacobian."""
-    flow = CompiledFlow.of_plan(plan_of(without_base(scene)))
-    n = len(flow.y0)
-
-    def rate(_t: float, z: Array) -> Array:
-        y, Y = z[:n], z[n:].reshape(n, n)
-        J = jacobian_of(flow.kernel, y, flow.parameters)
-        return np.concatenate([flow.kernel.evaluate_rate(y, flow.parameters), (J @ Y).ravel()])
-
-    z0 = np.concatenate([flow.y0, np.eye(n).ravel()])
-    solution = solve_ivp(rate, (0.0, T), z0, method="DOP853", rtol=1e-11, atol=1e-13)
-    return np.asarray(solution.y[n:, -1].reshape(n, n), dtype=float)
-
-
-_FILMED, _FILMED_EXAMPLES = ("falling_cat", "satellite_two_arms"), ("solo12", "talos")
-_SPAN, _TIMED = 2.0, 15  # duration [s] and number of frames of a measurement
-
-
-@checks_arguments
-def bench_films(robots: Sequence[str] = (), *, progress: Progress | bool | None = None) -> Table:
-    """Measure the time of a film's frame for each robot.
-
-    Args:
-        robots: Names or files; two bundled robots and, if installed, solo12 and talos by default.
-        progress: True for a progress bar, or a function of the completed fraction.
-    Returns:
-        A row for each robot: the number of triangles, the median processor time of a frame without
-        its encoding [s], and frames per second.
-    """
-    names = robots_to_measure(robots, _FILMED, _FILMED_EXAMPLES)
-    return Table("films", tuple(one_by_one(names, _bench_film, progress, "films")), {"frame": "s"})
-
-
-def _bench_film(name: str) -> SimpleNamespace:
-    traj = simulate(load(name, gravity=(0.0, 0.0, 0.0)), seed=1, duration=_SPAN)
-    frames, times = Frames(traj, View(fps=FILM_FPS), SIZE), cycle(np.linspace(0.0, _SPAN, _TIMED))
-    draw = repeated(lambda: frames.draw(float(next(times))))
-    seconds = alternating([draw], rounds=_TIMED, span=0.0, clock=time.process_time)
-    frame = float(np.median(seconds))
-    return SimpleNamespace(
-        robot=name, triangles=frames.triangles, frame=frame, per_second=1.0 / frame
-    )
 
 
 _PROCESSES = 3  # number of timed processes of each first call
@@ -463,92 +408,37 @@ def _find_tolerance(
     raise InputError(f"its smallest error is {reached:.1e}")
 
 
-DURATION = 2.0  # default duration of each motion [s]
-THREAD_MEMBERS = 1000
-FEW = 0.25  # fraction of the members in the smaller of two memory measurements
-THREAD_ROUNDS = 5
+_DURATION = 2.0  # duration of each motion on one and two threads [s]
 
 
 @checks_arguments
 def bench_threads(
-    system: System,
+    robot: str = "solo12",
     *,
-    members: int = THREAD_MEMBERS,
-    duration: float = DURATION,
-    rounds: int = THREAD_ROUNDS,
+    members: int = 1000,
+    rounds: int = ROUNDS,
     progress: Progress | bool | None = None,
-) -> list[Table]:
+) -> Table:
     """Measure simulate_many from random states on one thread and on two.
 
-    Memory allocated by Python and numpy is measured; the compiled code allocates none.
-
     Args:
-        system: The system.
-        members: Number of members, at least 4. Memory is measured with all members and
-            with a quarter.
-        duration: Duration of each motion [s].
+        robot: Name or file.
+        members: Number of members.
         rounds: Number of rounds, of which the median is reported.
         progress: True for a progress bar, or a function of the completed fraction.
     Returns:
-        A table of the median wall times [s] by number of threads; and of memory by number of
-        members: bytes of the reduced states in the results, bytes that the trajectories keep,
-        reduced states included, and peak bytes in addition to those.
+        A row for each number of threads: the median wall time of the whole call [s].
     Raises:
-        InputError: Fewer than 4 members.
+        InputError: No member.
     """
-    if members < 4:
-        raise InputError(f"members must be at least 4, got {members}")
+    system = load(robot, gravity=(0.0, 0.0, 0.0))
+    call = partial(simulate_many, system, seeds=range(members), times=[_DURATION])
+    actions = [repeated(partial(call, threads=threads)) for threads in (1, 2)]
     with shown(progress, "threads") as bar:
-        return _measure_threads(system, members, duration, rounds, bar or quiet)
-
-
-def _measure_threads(
-    system: System, members: int, duration: float, rounds: int, report: Progress
-) -> list[Table]:
-    states = [random_state(system, seed) for seed in range(members)]
-    x0, xdot0, xi0 = (np.array([getattr(s, name) for s in states]) for name in ("x", "xdot", "xi"))
-
-    def call(size: int, threads: int) -> Trajectories:
-        return simulate_many(
-            system,
-            x0=x0[:size],
-            xdot0=xdot0[:size],
-            xi0=xi0[:size],
-            duration=duration,
-            times=[duration],
-            threads=threads,
-        )
-
-    times = alternating(
-        [repeated(partial(call, members, threads)) for threads in (1, 2)],
-        rounds=rounds,
-        progress=lambda fraction: report(0.8 * fraction),
-    )
-    memory = []
-    for k, size in enumerate((round(FEW * members), members)):
-        tracemalloc.start()
-        try:
-            trajectories = call(size, 2)
-            kept, peak = tracemalloc.get_traced_memory()
-        finally:
-            tracemalloc.stop()
-        memory.append(
-            SimpleNamespace(
-                members=size, results=trajectories.y.nbytes, kept=kept,
-                extra=peak - kept,
-            )
-        )  # fmt: skip
-        report(0.8 + 0.1 * (k + 1))
-    speedup = float(np.median(times[:, 0] / times[:, 1]))
-    walls = [
-        SimpleNamespace(threads=k + 1, wall=float(wall))
-        for k, wall in enumerate(np.median(times, axis=0))
-    ]
-    title = f"{system.name}: {members} trajectories of {duration:g} s, whole call"
-    notes = (f"two threads are {speedup:.2f} times faster",)
-    robot = {"robot": system.name}
-    in_bytes = dict.fromkeys(("results", "kept", "extra"), "bytes")
-    return [
-        Table("threads", tuple(walls), {"wall": "s"}, title, notes, {**robot, "members": members}),
-        Table("threads_memory", tuple(memory), in_bytes, shared=robot),
-    ]
+        times = alternating(actions, rounds=rounds, progress=bar or quiet)
+    walls = np.median(times, axis=0).tolist()
+    rows = tuple(SimpleNamespace(threads=k + 1, wall=wall) for k, wall in enumerate(walls))
+    title = f"{system.name}: {members} trajectories of {_DURATION:g} s, whole call"
+    notes = (f"two threads are {np.median(times[:, 0] / times[:, 1]):.2f} times faster",)
+    shared = {"robot": system.name, "members": members}
+    return Table("threads", rows, {"wall": "s"}, title, notes, shared)

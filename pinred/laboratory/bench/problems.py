@@ -6,28 +6,39 @@ problem. A solver prepares runs of a problem, or of a batch of members, at a tol
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
-from typing import Any, TypeVar
-
 import numpy as np
 import pinocchio as pin
+from collections.abc import Callable
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import field
+from dataclasses import replace
+from functools import cached_property
+from functools import partial
+from typing import Any
+from typing import TypeVar
 from numpy.typing import ArrayLike
-
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array
+from ...common.arrays import freeze
 from ...common.errors import InputError
 from ...common.names import nearest
-from ...judge.reference_solution import FullMotion, FullState
+from ...judge.reference_solution import FullMotion
+from ...judge.reference_solution import FullState
 from ...scene.initial_state import random_state
 from ...scene.scene import Scene
-from ...simulation.compiled.compiled_flow import CompiledFlow, flows_of
-from ...simulation.plan import of_scenes, plan_of
+from ...simulation.compiled.compiled_flow import CompiledFlow
+from ...simulation.compiled.compiled_flow import flows_of
+from ...simulation.plan import of_scenes
+from ...simulation.plan import plan_of
 from ...system.coordinates import InitialState
 from ...system.load import load
-from ...system.robot_files import INSTALL_ROBOTS, bundled_robots, has_example_robots
-from ...system.state_fields import State, with_base
+from ...system.robot_files import INSTALL_ROBOTS
+from ...system.robot_files import bundled_robots
+from ...system.robot_files import has_example_robots
+from ...system.state_fields import State
+from ...system.state_fields import with_base
 from ...system.system import System
 
 FAMILIES = ("planar", "spatial")
@@ -350,24 +361,20 @@ def compile_members(members: Sequence[Problem]) -> CompiledFlow:
     return flows
 
 
-@dataclass(frozen=True)
-class Drift:
-    """Relative changes of conserved quantities from the start to the end of a motion.
+def compute_drift(problem: Problem, q: Array, v: Array) -> tuple[float, float]:
+    """Compute the relative changes of conserved quantities from the start to a final state.
 
-    Attributes:
-        energy: Change of energy relative to the initial kinetic energy T, which excludes the
-            uniform motion of the centre of mass.
-        momentum: Largest change of a conserved component, relative to √(2mT); for angular
-            components, to √(2mT) times the radius of gyration. Angular momentum is taken about
-            the centre of mass if the group translates, else about the pivot.
+    Args:
+        problem: The problem.
+        q: Final configuration, (nq,).
+        v: Final velocity, (n,).
+    Returns:
+        The change of energy relative to the initial kinetic energy T, which excludes the uniform
+        motion of the centre of mass; and the largest change of a conserved component of momentum,
+        relative to √(2mT), or for angular components to √(2mT) times the radius of gyration.
+        Angular momentum is taken about the centre of mass if the group translates, else about the
+        pivot.
     """
-
-    energy: float
-    momentum: float
-
-
-def compute_drift(problem: Problem, q: Array, v: Array) -> Drift:
-    """Compute the drift between the start of a problem and a final state q (nq,), v (n,)."""
     full, system, start = problem.full, problem.system, problem.start
     k = system.group.linear
     q0, v0 = problem.q0, problem.v0
@@ -382,10 +389,8 @@ def compute_drift(problem: Problem, q: Array, v: Array) -> Drift:
     unit[k:] *= full.totals.radius_of_gyration(q0)
     energy = total + full.totals.potential_energy(q0)
     gained = full.totals.kinetic_energy(q, v) + full.totals.potential_energy(q) - energy
-    return Drift(
-        energy=float(abs(gained) / scale if scale > 0.0 else abs(gained)),
-        momentum=float(np.max(np.abs(after - before) / np.where(unit > 0.0, unit, 1.0))),
-    )
+    drift = abs(gained) / scale if scale > 0.0 else abs(gained)
+    return float(drift), float(np.max(np.abs(after - before) / np.where(unit > 0.0, unit, 1.0)))
 
 
 ATOL = 0.01  # ratio of absolute to relative tolerance, for methods with both

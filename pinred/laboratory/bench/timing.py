@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from types import SimpleNamespace
-from typing import Any, TypeAlias, TypeVar
-
 import numpy as np
-
+from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import field
+from types import SimpleNamespace
+from typing import Any
+from typing import TypeAlias
+from typing import TypeVar
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
-from ...common.object_cache import ObjectCache
-from ...common.waiting import Progress, quiet
-from ...kernels.kernel import Kernel, repeat
+from ...common.waiting import Progress
+from ...common.waiting import quiet
+from ...kernels.kernel import repeat
 from ...system.robot_files import has_example_robots
 
 T = TypeVar("T")
@@ -24,7 +28,6 @@ ROUNDS = 15  # default number of rounds; the median over rounds is reported
 SPAN = 0.01  # least duration of an action in a round [s]; short actions are repeated
 LOADING = 20.0  # a first call shorter than this [s] is repeated, because it may include compilation
 FEWEST = 3  # least number of rounds of a slow action
-BUNDLED, EXAMPLES = ("planar_chain5", "satellite_two_arms"), ("solo12", "talos")  # default robots
 
 
 @checks_arguments
@@ -82,21 +85,10 @@ def cell(value: Any) -> str:
 
 
 def robots_to_measure(
-    names: Iterable[str], bundled: Sequence[str] = BUNDLED, examples: Sequence[str] = EXAMPLES
+    names: Iterable[str], bundled: Sequence[str], examples: Sequence[str]
 ) -> list[str]:
     """Return the given names; by default, bundled robots and, if installed, examples."""
     return list(names) or [*bundled, *(examples if has_example_robots() else ())]
-
-
-class NoCache(ObjectCache):
-    """A kernel cache that stores nothing, so that compilation is measured."""
-
-    def get(self, key: str) -> None:
-        """Return None: nothing is cached."""
-
-    def put(self, key: str, code: bytes) -> bool:  # noqa: ARG002
-        """Discard the code, and return False."""
-        return False
 
 
 def alternating(
@@ -149,26 +141,6 @@ def alternating(
                 seconds[k, j] = measure(action, count) / count
         progress((k + 2) / (rounds + 1))
     return seconds
-
-
-def fastest(
-    actions: Sequence[Action],
-    *,
-    rounds: int = ROUNDS,
-    span: float | None = None,
-    budget: float = np.inf,
-) -> list[float]:
-    """Return the least time of each of several actions [s]; see `alternating`."""
-    times = alternating(actions, rounds=rounds, span=span, budget=budget)
-    return [float(seconds) for seconds in np.nanmin(times, axis=0)]
-
-
-def evaluations(kernel: Kernel) -> Action:
-    """Return a function that evaluates a kernel at a random state a given number of times."""
-    rng = np.random.default_rng(0)
-    y = rng.normal(size=kernel.layout.size)
-    parameters = rng.normal(size=kernel.layout.parameters)
-    return lambda count: repeat(kernel.rate.address, parameters, y, count)
 
 
 def timed(action: Callable[[], T]) -> tuple[T, float]:

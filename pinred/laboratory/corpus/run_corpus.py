@@ -112,20 +112,33 @@ _WRITE_INTERVAL = 20  # number of entries between two updates of the csv file
 
 
 @dataclass(frozen=True)
+class SearchResult:
+    """The descriptions in some folders.
+
+    Attributes:
+        descriptions: Complete robot descriptions.
+        fragments: Number of files with parts of robots only, for other files to include.
+        macros: Number of templates that xacro must expand.
+        copies: Number of files with the same content as another file.
+    """
+
+    descriptions: tuple[Description, ...] = ()
+    fragments: int = 0
+    macros: int = 0
+    copies: int = 0
+
+
+@dataclass(frozen=True)
 class Corpus:
     """The table of a corpus.
 
     Attributes:
         entries: One entry for each description, including fragments that only the trial detected.
-        fragments: Number of files with parts of robots only.
-        macros: Number of xacro templates.
-        copies: Number of duplicates.
+        search: The descriptions, and the numbers of files that were left out.
     """
 
     entries: tuple[Entry, ...]
-    fragments: int = 0
-    macros: int = 0
-    copies: int = 0
+    search: SearchResult = SearchResult()
 
     @property
     def passed(self) -> bool:
@@ -149,22 +162,22 @@ class Corpus:
         row("tried", lambda entries: len(entries))
         for name in (*GOOD, "refused", "stopped", "FAILED", "error"):
             row(f"  {name}", outcome(name))
-        row("compared with MuJoCo's reading", lambda entries: len(_compared(entries)))
+        row(
+            "compared with MuJoCo's reading",
+            lambda entries: sum(np.isfinite(e.mass) for e in entries),
+        )
         row(
             "compared with another reader",
             lambda entries: sum(bool(e.reader) for e in entries),
         )
         row("should work (no names)", lambda entries: len(_due(entries)))
         row("  of these, good", lambda entries: _success_rate(_due(entries)))
+        fragments = self.search.fragments + sum(e.outcome == "fragment" for e in self.entries)
         rows.append(
-            f"left out: {self.copies} copies, {self._fragments} parts for others to include, and "
-            f"{self.macros} templates for xacro"
+            f"left out: {self.search.copies} copies, {fragments} parts for others to include, and "
+            f"{self.search.macros} templates for xacro"
         )
         return "\n".join(rows)
-
-    @property
-    def _fragments(self) -> int:
-        return self.fragments + sum(entry.outcome == "fragment" for entry in self.entries)
 
     def _of(self, kind: str) -> list[Entry]:
         return [e for e in self.entries if e.kind == kind and e.outcome != "fragment"]
@@ -249,11 +262,7 @@ def corpus(
     finally:
         if out is not None and entries:
             write_entries(out, entries)
-    return Corpus(tuple(entries), search.fragments, search.macros, search.copies)
-
-
-def _compared(entries: list[Entry]) -> list[Entry]:
-    return [entry for entry in entries if np.isfinite(entry.mass)]
+    return Corpus(tuple(entries), search)
 
 
 def _due(entries: list[Entry]) -> list[Entry]:
@@ -265,12 +274,10 @@ def _success_rate(entries: list[Entry]) -> str:
     return f"{100.0 * counts[True] / len(entries):.1f} %" if entries else "-"
 
 
-COLUMNS = tuple(field.name for field in fields(Entry))
-
-
 def write_entries(path: Path, entries: Iterable[Entry]) -> None:
     """Write entries as csv; raise OutputError and keep the old file on failure."""
-    write_table(path, COLUMNS, (vars(entry) for entry in entries))
+    columns = [field.name for field in fields(Entry)]
+    write_table(path, columns, (vars(entry) for entry in entries))
 
 
 _SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf", ".world", ".model")
@@ -280,23 +287,6 @@ _MOST_BYTES = 256_000_000
 
 
 _KINDS: dict[str, Kind] = {"robot": "urdf", "mujoco": "mjcf", "sdf": "sdf"}
-
-
-@dataclass(frozen=True)
-class SearchResult:
-    """The descriptions in some folders.
-
-    Attributes:
-        descriptions: Complete robot descriptions.
-        fragments: Number of files with parts of robots only, for other files to include.
-        macros: Number of templates that xacro must expand.
-        copies: Number of files with the same content as another file.
-    """
-
-    descriptions: tuple[Description, ...]
-    fragments: int = 0
-    macros: int = 0
-    copies: int = 0
 
 
 @dataclass(frozen=True)

@@ -13,36 +13,43 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, Literal, TypeAlias
-
 import numpy as np
 import pinocchio as pin
-
+from collections.abc import Iterable
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from typing import Literal
+from typing import TypeAlias
 from ...common.arrays import Array
-from ...common.errors import (
-    ChoiceError,
-    IntegrationError,
-    LoadError,
-    MissingPackageError,
-    ModelError,
-    PinredError,
-    SymmetryError,
-    optional_package,
-)
+from ...common.errors import ChoiceError
+from ...common.errors import IntegrationError
+from ...common.errors import LoadError
+from ...common.errors import MissingPackageError
+from ...common.errors import ModelError
+from ...common.errors import PinredError
+from ...common.errors import SymmetryError
+from ...common.errors import optional_package
 from ...judge.compare import compare
-from ...judge.verdict import Report, Verdict
+from ...judge.verdict import Report
+from ...judge.verdict import Verdict
 from ...reduction.pointwise_reduction import symmetric
 from ...simulation.simulate import simulate
 from ...system.independent_reader import second_reading
 from ...system.load import load
-from ...system.mjcf.compile import compiled, mujoco_package, warnings_kept
+from ...system.mjcf.compile import compiled
+from ...system.mjcf.compile import mujoco_package
+from ...system.mjcf.compile import warnings_kept
 from ...system.mjcf.read import gravity_of
 from ...system.mjcf.world import robot_in
 from ...system.read_sdf import drake_warnings
-from ...system.robot_files import EVERYTHING, library_output, read_text, read_xml
+from ...system.robot_files import EVERYTHING
+from ...system.robot_files import library_output
+from ...system.robot_files import read_text
+from ...system.robot_files import read_xml
 from ...system.system import System
 
 Kind: TypeAlias = Literal["urdf", "mjcf", "sdf", "name"]
@@ -270,9 +277,7 @@ def _root_of(model: Any, body: int) -> int:
     return int(model.body_rootid[body])
 
 
-_MASS = 1e-12  # largest passing error of the mass matrix, relative to its largest entry
-_FORCES = 1e-11  # largest passing error of forces, relative to the magnitudes of their terms
-_PLACES = 1e-10  # largest passing error of positions, relative to the robot's reach
+_BOUNDS = {"places": 1e-10, "mass": 1e-12, "forces": 1e-11}  # of passing `differences`
 _SHORTER = 0.1  # factor on the duration of the motion after the verdict CANNOT TELL
 _CHOICES = 5  # largest number of choices tried per file
 _WEIGHTLESS = (0.0, 0.0, 0.0)
@@ -353,14 +358,18 @@ def _try_description(description: Description, duration: float, entry: Entry) ->
         allowed=allowed,
     )  # fmt: skip
     if report.verdict is Verdict.FAILED:
-        failures = [
-            f"{name} {value:.2g}, allowed {bound:.2g}"
-            for name, (value, bound) in report.checks.items()
-            if not value <= bound
-        ]
-        reason = "; ".join([*filter(None, [entry.reason]), *failures])
+        reason = "; ".join([*filter(None, [entry.reason]), *_beyond(report.checks)])
         entry = replace(entry, outcome="FAILED", reason=reason, about=entry.about or "ABA")
     return entry
+
+
+def _beyond(checks: Mapping[str, tuple[float, float]]) -> list[str]:
+    """Return a text for each error that is not within its bound."""
+    return [
+        f"{name} {error:.2g}, allowed {bound:.2g}"
+        for name, (error, bound) in checks.items()
+        if not error <= bound
+    ]
 
 
 def _worse(entry: Entry, outcome: Any) -> Any:
@@ -392,7 +401,7 @@ def _compare_with_mujoco(
         return replace(entry, second="a name" if description.kind == "name" else "an SDF file")
     try:
         mujoco_package()
-        errors: Differences = differences(
+        errors = differences(
             system,
             description.file,
             description.kind,
@@ -401,13 +410,8 @@ def _compare_with_mujoco(
         )
     except (LoadError, MissingPackageError) as error:
         return replace(entry, second=_line(error))
-    entry = replace(entry, mass=errors.mass, forces=errors.forces)
-    bounds = {"places": _PLACES, "mass": _MASS, "forces": _FORCES}
-    failures = [
-        f"{name} {getattr(errors, name):.2g}, allowed {bound:.2g}"
-        for name, bound in bounds.items()
-        if not getattr(errors, name) <= bound
-    ]
+    entry = replace(entry, mass=errors["mass"], forces=errors["forces"])
+    failures = _beyond({name: (error, _BOUNDS[name]) for name, error in errors.items()})
     if failures:
         reason = f"MuJoCo reads it differently: {'; '.join(failures)}"
         return replace(entry, outcome="FAILED", reason=reason, about="MuJoCo reads it differently")
@@ -490,25 +494,9 @@ _CANCELS = 1e-3  # fraction of cancelling moments that is added to the scale of 
 _ROUND_OFF = 1e-12  # relative position step below which Newton's method has converged
 
 
-@dataclass(frozen=True)
-class Differences:
-    """Largest relative differences between two readings over some random states.
-
-    Attributes:
-        places: Difference of body positions, relative to the robot's reach.
-        mass: Difference of the mass matrix, relative to its largest entry.
-        forces: Difference of bias forces and of forces at random accelerations, relative to the
-            magnitudes of the terms in their sums.
-    """
-
-    places: float
-    mass: float
-    forces: float
-
-
 def differences(
     system: System, file: str, kind: str, root: str | None, *, weightless: bool = False
-) -> Differences:
+) -> dict[str, float]:
     """Compare a system with MuJoCo's reading of its file.
 
     Args:
@@ -518,7 +506,10 @@ def differences(
         root: The chosen root body, if there was a choice.
         weightless: Whether the system was loaded without the file's gravity.
     Returns:
-        The largest differences.
+        The largest relative differences over some random states. "places": of body positions,
+        relative to the robot's reach; "mass": of the mass matrix, relative to its largest entry;
+        "forces": of bias forces and of forces at random accelerations, relative to the magnitudes
+        of the terms in their sums.
     Raises:
         LoadError: MuJoCo does not read the file, or bodies cannot be matched.
         PinredError: pinred rejects a part of the file.
@@ -541,8 +532,7 @@ def differences(
             pair.take_armature()
         rng = np.random.default_rng(0)
         samples = [pair.at_random(rng) for _ in range(STATES)]
-    names = ("places", "mass", "forces")
-    return Differences(*(max(getattr(sample, name) for sample in samples) for name in names))
+    return {name: max(sample[name] for sample in samples) for name in _BOUNDS}
 
 
 def _body(spec: Any, name: str) -> Any:
@@ -635,7 +625,7 @@ class _Pair:
             armature = model.armature[joint.idx_v : joint.idx_v + joint.nv]
             self._model.dof_armature[_dofs(self._model, [number])] = armature
 
-    def at_random(self, rng: np.random.Generator) -> Differences:
+    def at_random(self, rng: np.random.Generator) -> dict[str, float]:
         """Compute the differences at a random state."""
         mj, m, d = self._mj, self._model, self._data
         model, data = self._system.model, self._pin
@@ -668,11 +658,11 @@ class _Pair:
             )
             for f, body in self._bodies
         ]
-        return Differences(
-            places=float(np.max(place_errors)),
-            mass=float(np.abs(T.T @ H @ T - M).max() / np.abs(M).max()),
-            forces=float(np.abs(errors).max()),
-        )
+        return {
+            "places": float(np.max(place_errors)),
+            "mass": float(np.abs(T.T @ H @ T - M).max() / np.abs(M).max()),
+            "forces": float(np.abs(errors).max()),
+        }
 
     def _coordinates(self, joint: int) -> Array:
         """Return the quaternion (x, y, z, w) of a ball, or the value of another joint."""

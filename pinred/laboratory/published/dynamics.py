@@ -20,53 +20,49 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipk, ellipkm1
 
+from ...analysis.connections.connection import Connection
+from ...analysis.equilibria.find import relative_equilibria
 from ...analysis.equilibria.relative_equilibrium import Equilibria
+from ...analysis.floating_arm import FloatingArm
+from ...analysis.full_reduction import Reduction
+from ...analysis.phases.gait import Gait
+from ...analysis.phases.phase import phase, rigid_body_phase
+from ...analysis.stability.along_motions import linearise
 from ...common.arrays import Array
 from ...common.errors import ModelWarning
 from ...forces.kinds import PotentialEnergy
+from ...scene.event import Event
+from ...simulation.simulate import simulate
+from ...system.load import load
+from ...system.robot_description import Model
 from ...system.system import System
 from ..stress.motion_checks import euler_top
-from . import (
-    Connection,
-    Event,
-    FloatingArm,
-    Gait,
-    Model,
-    Reduction,
-    linearise,
-    load,
-    phase,
-    relative_equilibria,
-    rigid_body_phase,
-    simulate,
-)
 from .row import Numbers, numbers, row
 
 MOMENTS = np.array([1.0, 2.0, 2.5])  # of the bundled robot rigid_body [kg m²]
 
 
-@row(
-    "euler-rates",
-    "Euler's rigid body: angular velocity in the body after 20 s [rad/s]",
-    "L. D. Landau, E. M. Lifshitz, Mechanics, §37",
-    relative=1e-11,
-)
+@row("L. D. Landau, E. M. Lifshitz, Mechanics, §37", relative=1e-11)
 def euler_rates() -> Numbers:
-    """Compare Jacobi's elliptic functions with a simulation."""
+    """Compare Jacobi's elliptic functions with a simulation.
+
+    Returns:
+        Euler's rigid body: angular velocity in the body after 20 s [rad/s].
+    """
     omega = np.array([0.5, 0.7, 1.6])
     rates, _ = euler_top(MOMENTS, omega, np.array([20.0]))
     traj = simulate(load("rigid_body"), xi0=omega, duration=20.0, rtol=1e-13, atol=1e-15)
     return numbers(rates[0], traj.xi[-1])
 
 
-@row(
-    "montgomery-phase",
-    "Montgomery's phase: rotation about the momentum in one period, by formula and simulated [rad]",
-    "R. Montgomery, Am. J. Phys. 59 (1991) 394",
-    relative=1e-11,
-)
+@row("R. Montgomery, Am. J. Phys. 59 (1991) 394", relative=1e-11)
 def montgomery_phase() -> Numbers:
-    """Compare 2ET/J − Λ, with Λ by quadrature, with both routes of pinred."""
+    """Compare 2ET/J − Λ, with Λ by quadrature, with both routes of pinred.
+
+    Returns:
+        Montgomery's phase: rotation about the momentum in one period, by formula and simulated
+        [rad].
+    """
     omega = np.array([0.5, 0.7, 1.6])
     a, b, c = MOMENTS
     J, energy2 = np.linalg.norm(MOMENTS * omega), MOMENTS @ omega**2
@@ -87,14 +83,16 @@ def montgomery_phase() -> Numbers:
 
 
 @row(
-    "dzhanibekov-flips",
-    "Dzhanibekov's effect: time between two flips, from (0.01, 1, 0) rad/s [s]",
     "L. D. Landau, E. M. Lifshitz, Mechanics, §37; M. S. Ashbaugh, C. C. Chicone, R. H. Cushman, "
     "J. Dyn. Differ. Equ. 3 (1991) 67",
     relative=1e-9,
 )
 def dzhanibekov_flips() -> Numbers:
-    """Compare half a period of the elliptic functions with the zeros of ω₂ in a simulation."""
+    """Compare half a period of the elliptic functions with the zeros of ω₂ in a simulation.
+
+    Returns:
+        Dzhanibekov's effect: time between two flips, from (0.01, 1, 0) rad/s [s].
+    """
     omega = np.array([1e-2, 1.0, 0.0])
     a, b, c = MOMENTS
     energy2, square = MOMENTS @ omega**2, MOMENTS**2 @ omega**2
@@ -117,14 +115,13 @@ LAGRANGE = Model("top").body("top", mass=1.0, inertia=[0.1, 0.1, 0.05], com=[0.0
 KOVALEVSKAYA = Model("top").body("top", mass=1.0, inertia=[1.0, 0.84, 0.34], com=[0.4, 0.0, 0.0])
 
 
-@row(
-    "lagrange-nutation",
-    "Lagrange's top, released from 0.6 rad with a spin of 40 rad/s: period of nutation [s]",
-    "H. Goldstein, Classical Mechanics, §5.7",
-    relative=1e-10,
-)
+@row("H. Goldstein, Classical Mechanics, §5.7", relative=1e-10)
 def lagrange_nutation() -> Numbers:
-    """Compare a complete elliptic integral with the turning points of a simulation."""
+    """Compare a complete elliptic integral with the turning points of a simulation.
+
+    Returns:
+        Lagrange's top, released from 0.6 rad with a spin of 40 rad/s: period of nutation [s].
+    """
     tilt, spin = 0.6, 40.0
     u0, a2, b = np.cos(tilt), (I3 * spin / I1) ** 2, 2.0 * PULL / I1
     middle = 0.5 * a2 / b
@@ -144,28 +141,26 @@ def lagrange_nutation() -> Numbers:
     return numbers(period, times[3] - times[1])
 
 
-@row(
-    "sleeping-top",
-    "Lagrange's sleeping top at 0.9 of the critical spin: growth of a perturbation [1/s]",
-    "J. E. Marsden, T. S. Ratiu, Introduction to Mechanics and Symmetry, §15.10",
-    relative=1e-10,
-)
+@row("J. E. Marsden, T. S. Ratiu, Introduction to Mechanics and Symmetry, §15.10", relative=1e-10)
 def sleeping_top() -> Numbers:
-    """Compare √(m g l/I₁ − (I₃ω/2I₁)²) with an eigenvalue of the linearised flow."""
+    """Compare √(m g l/I₁ − (I₃ω/2I₁)²) with an eigenvalue of the linearised flow.
+
+    Returns:
+        Lagrange's sleeping top at 0.9 of the critical spin: growth of a perturbation [1/s].
+    """
     spin = 0.9 * np.sqrt(4.0 * PULL * I1) / I3
     growth = np.sqrt(PULL / I1 - (0.5 * I3 * spin / I1) ** 2)
     traj = simulate(load(LAGRANGE, group="SO3"), xi0=[0.0, 0.0, spin], duration=0.1)
     return numbers(growth, np.max(linearise(traj, 0.0).eigenvalues.real))
 
 
-@row(
-    "kovalevskaya-integral",
-    "Kovalevskaya's top: the fourth integral after 10 s [1/s⁴]",
-    "S. Kowalevski, Acta Math. 12 (1889) 177",
-    relative=1e-10,
-)
+@row("S. Kowalevski, Acta Math. 12 (1889) 177", relative=1e-10)
 def kovalevskaya_integral() -> Numbers:
-    """Compare |(ω₁ + iω₂)² − n (Γ₁ + iΓ₂)|² before and after a simulation."""
+    """Compare |(ω₁ + iω₂)² − n (Γ₁ + iΓ₂)|² before and after a simulation.
+
+    Returns:
+        Kovalevskaya's top: the fourth integral after 10 s [1/s⁴].
+    """
     n = GRAVITY * 0.4 / 0.5
     traj = simulate(
         load(KOVALEVSKAYA, group="SO3"), xi0=[0.7, -0.4, 1.1], duration=10.0,
@@ -190,7 +185,7 @@ TWO = (
 )  # fmt: skip
 
 
-def chain(masses: Array, before: Array, after: Array, moments: Array) -> Model:
+def planar_chain(masses: Array, before: Array, after: Array, moments: Array) -> Model:
     """Return a planar chain; `before` and `after` are distances from the centres to the hinges."""
     model = Model("chain").body("body0", mass=masses[0], inertia=moments[0])
     at = after[0]
@@ -223,43 +218,42 @@ SHORT = (
 @cache
 def steady_rotations(name: str, momentum: float) -> Equilibria:
     """Return the steady rotations of a robot of this page at a momentum."""
-    robots = {"two bodies": TWO, "short middle": chain(*SHORT), "three_rods": "three_rods"}
+    robots = {"two bodies": TWO, "short middle": planar_chain(*SHORT), "three_rods": "three_rods"}
     return relative_equilibria(load(robots[name], group="SE2"), momentum=momentum, starts=30)
 
 
-@row(
-    "coupled-planar",
-    "two bodies, one pinned at its centre: A and M of robots/coupled_planar",
-    f"{SREENATH}; docs/errata.md",
-    relative=1e-14,
-)
+@row(f"{SREENATH}; docs/errata.md", relative=1e-14)
 def coupled_planar() -> Numbers:
-    """Compare the fractions of docs/theory.md with the mass matrix."""
+    """Compare the fractions of docs/theory.md with the mass matrix.
+
+    Returns:
+        two bodies, one pinned at its centre: A and M of robots/coupled_planar.
+    """
     red = Reduction(load("coupled_planar"))
     coefficients = [*red.local_connection([0.7])[:, 0], red.reduced_metric([0.7])[0, 0]]
     return numbers([0.0, -1.0 / 30.0, 4.0 / 15.0, 11.0 / 60.0], coefficients)
 
 
-@row(
-    "two-bodies-count",
-    "two planar bodies: number of steady rotations, and number of stable ones",
-    SREENATH,
-)
+@row(SREENATH)
 def two_bodies_count() -> Numbers:
-    """Compare the count of steady rotations: stretched out (stable) and folded (unstable)."""
+    """Compare the count of steady rotations: stretched out (stable) and folded (unstable).
+
+    Returns:
+        two planar bodies: number of steady rotations, and number of stable ones.
+    """
     rotations = steady_rotations("two bodies", 2.0)
     stable = [rotation for rotation in rotations if rotation.verdict == "stable"]
     return numbers([2, 1], [len(rotations), len(stable)])
 
 
-@row(
-    "two-bodies-oscillation",
-    "two planar bodies at momentum 2: frequency about the stretched, growth about the folded [1/s]",
-    SREENATH,
-    relative=1e-11,
-)
+@row(SREENATH, relative=1e-11)
 def two_bodies_oscillation() -> Numbers:
-    """Compare μ √(ε d₁ d₂/(M I²)) with the spectrum of both steady rotations."""
+    """Compare μ √(ε d₁ d₂/(M I²)) with the spectrum of both steady rotations.
+
+    Returns:
+        two planar bodies at momentum 2: frequency about the stretched, growth about the folded
+        [1/s].
+    """
     mu, e, cross = 2.0, MASS[0] * MASS[1] / sum(MASS), ARM[0] * ARM[1]
     moments = np.array(MOMENT) + e * np.square(ARM)
     expected = []
@@ -271,25 +265,26 @@ def two_bodies_oscillation() -> Numbers:
     return numbers(expected, [rotations[0].frequencies[0], rotations[1].growth])
 
 
-@row(
-    "three-bodies-count",
-    "three planar bodies: number of steady rotations of equal rods, and with a short middle body",
-    OH,
-)
+@row(OH)
 def three_bodies_count() -> Numbers:
-    """Compare the count by the triangle inequality, 4 or 6, with a search."""
+    """Compare the count by the triangle inequality, 4 or 6, with a search.
+
+    Returns:
+        three planar bodies: number of steady rotations of equal rods, and with a short middle
+        body.
+    """
     names = ("three_rods", "short middle")
     return numbers([4, 6], [len(steady_rotations(name, 1.0)) for name in names])
 
 
-@row(
-    "three-bodies-triangle",
-    "three planar bodies with a short middle one: joint angles of the bent steady rotation [rad]",
-    OH,
-    relative=1e-11,
-)
+@row(OH, relative=1e-11)
 def three_bodies_triangle() -> Numbers:
-    """Compare the angles of the triangle of sides 1/K_ij with a search."""
+    """Compare the angles of the triangle of sides 1/K_ij with a search.
+
+    Returns:
+        three planar bodies with a short middle one: joint angles of the bent steady rotation
+        [rad].
+    """
     K = couplings(*SHORT)
     p, q, s = 1.0 / K[0, 1], 1.0 / K[1, 2], 1.0 / K[0, 2]
     first = np.arccos((q**2 + s**2 - p**2) / (2.0 * q * s))
@@ -300,32 +295,30 @@ def three_bodies_triangle() -> Numbers:
     return numbers([np.pi - first, np.pi - second], [bent[0], bent[1]])
 
 
-@row(
-    "three-rods",
-    "three equal rods, stretched out and rotating at Ω: frequencies/Ω, √(5/2) and √(81/10)",
-    OH,
-    relative=1e-11,
-)
+@row(OH, relative=1e-11)
 def three_rods() -> Numbers:
-    """Compare the fractions with the spectrum of the steady rotation."""
+    """Compare the fractions with the spectrum of the steady rotation.
+
+    Returns:
+        three equal rods, stretched out and rotating at Ω: frequencies/Ω, √(5/2) and √(81/10).
+    """
     lowest = steady_rotations("three_rods", 1.0)[0]
     frequencies = np.sort(lowest.frequencies) / abs(lowest.xi[2])
     return numbers([np.sqrt(2.5), np.sqrt(8.1)], frequencies)
 
 
-@row(
-    "six-rods",
-    "six equal rods, stretched out and rotating at 1 rad/s: frequencies [rad/s]",
-    SREENATH,
-    relative=1e-10,
-)
+@row(SREENATH, relative=1e-10)
 def six_rods() -> Numbers:
-    """Compare the eigenvalues of K⁻¹ diag(K 1) − 1 with the linearised flow."""
+    """Compare the eigenvalues of K⁻¹ diag(K 1) − 1 with the linearised flow.
+
+    Returns:
+        six equal rods, stretched out and rotating at 1 rad/s: frequencies [rad/s].
+    """
     half, one = np.full(6, 0.5), np.ones(6)
     rods = one, half, half, one / 12.0
     K = couplings(one, half * (np.arange(6) > 0), half, one / 12.0)
     squares = np.sort(eigvals(np.diag(K.sum(axis=1)), K).real)[1:] - 1.0
-    traj = simulate(load(chain(*rods), group="SE2"), x0=[0.0] * 5, xdot0=[0.0] * 5,
+    traj = simulate(load(planar_chain(*rods), group="SE2"), x0=[0.0] * 5, xdot0=[0.0] * 5,
                     xi0=[0.0, 2.5, 1.0], duration=0.1)  # fmt: skip
     spectrum = linearise(traj, 0.0).eigenvalues
     frequencies = np.sort(spectrum.imag[spectrum.imag > 0.1])
@@ -413,28 +406,27 @@ def window(eigenvalues: Callable[[float], Spectrum]) -> list[float]:
     return [brentq(f, low, high, xtol=1e-13, rtol=1e-14) for f, low, high in edges]
 
 
-@row(
-    "pendulum-fold",
-    "double spherical pendulum, m = 3, r = 1.5: fold of the cowboy motions, α and momentum [N m s]",
-    SCHEURLE,
-    relative=1e-10,
-)
+@row(SCHEURLE, relative=1e-10)
 def pendulum_fold() -> Numbers:
-    """Compare the zero of dJ/dα, by complex steps, with a zero eigenvalue of the motion."""
+    """Compare the zero of dJ/dα, by complex steps, with a zero eigenvalue of the motion.
+
+    Returns:
+        double spherical pendulum, m = 3, r = 1.5: fold of the cowboy motions, α and momentum [N m
+        s].
+    """
     slope = lambda alpha: momentum(alpha + 1e-30j).imag  # noqa: E731
     expected = brentq(slope, -1.9, -1.75, xtol=1e-14)
     fold = brentq(lambda alpha: cubic(spectrum_by_pinred(alpha))[2], -1.9, -1.75, xtol=1e-13)
     return numbers([expected, momentum(expected).real], [fold, momentum(fold).real])
 
 
-@row(
-    "cowboy-window",
-    "double spherical pendulum, m = 3, r = 1.5: edges of the stable cowboy motions, as α",
-    SCHEURLE,
-    relative=1e-8,
-)
+@row(SCHEURLE, relative=1e-8)
 def cowboy_window() -> Numbers:
-    """Compare the edges by a Lagrangian in horizontal coordinates with the linearised flow."""
+    """Compare the edges by a Lagrangian in horizontal coordinates with the linearised flow.
+
+    Returns:
+        double spherical pendulum, m = 3, r = 1.5: edges of the stable cowboy motions, as α.
+    """
     return numbers(window(spectrum), window(spectrum_by_pinred))
 
 
@@ -443,27 +435,25 @@ CAT = "T. R. Kane, M. P. Scher, Int. J. Solids Structures 5 (1969) 663"
 CAT_RATIO = 0.4  # axial over transverse moment of half a cat, robots/falling_cat_ball
 
 
-@row(
-    "beanie-turn",
-    "Elroy's beanie: rotation of the boy by one turn of the propeller [rad]",
-    BEANIE,
-    relative=1e-13,
-)
+@row(BEANIE, relative=1e-13)
 def beanie_turn() -> Numbers:
-    """Compare −2π I₂/(I₁ + I₂), for I₁ = 2 and I₂ = 1, with the phase of one turn."""
+    """Compare −2π I₂/(I₁ + I₂), for I₁ = 2 and I₂ = 1, with the phase of one turn.
+
+    Returns:
+        Elroy's beanie: rotation of the boy by one turn of the propeller [rad].
+    """
     connection = Connection.mechanical(load("elroys_beanie"))
     turn = phase(connection, Gait.waypoints([[0.0]], turns=[1]))
     return numbers(-2.0 * np.pi / 3.0, turn.pose[0])
 
 
-@row(
-    "beanie-swing",
-    "Elroy's beanie with V = −3 cos θ₂, amplitude 2 rad: period [s]",
-    BEANIE,
-    relative=1e-11,
-)
+@row(BEANIE, relative=1e-11)
 def beanie_swing() -> Numbers:
-    """Compare 4 K(sin² 1)/ω₀, with ω₀² = k (I₁ + I₂)/(I₁ I₂), with a simulation."""
+    """Compare 4 K(sin² 1)/ω₀, with ω₀² = k (I₁ + I₂)/(I₁ I₂), with a simulation.
+
+    Returns:
+        Elroy's beanie with V = −3 cos θ₂, amplitude 2 rad: period [s].
+    """
     period = 4.0 * ellipk(np.sin(1.0) ** 2) / np.sqrt(3.0 * 3.0 / 2.0)
     robot = load("elroys_beanie")
     well = PotentialEnergy(lambda x: -3.0 * ca.cos(x[0]))
@@ -487,14 +477,13 @@ def roll_rate(bend: float) -> float:
     return float(CAT_RATIO * c / (CAT_RATIO * c**2 + s**2))
 
 
-@row(
-    "cat-equal-bends",
-    "falling cat, bent by 76.3° to all sides in turn: rotation, half a turn [rad]",
-    "R. Montgomery, Fields Inst. Commun. 1 (1993) 193",
-    relative=1e-12,
-)
+@row("R. Montgomery, Fields Inst. Commun. 1 (1993) 193", relative=1e-12)
 def cat_equal_bends() -> Numbers:
-    """Compare π, for cos(b) = (√(k² − k + 1) − k)/(1 − k), with the phase of the circle."""
+    """Compare π, for cos(b) = (√(k² − k + 1) − k)/(1 − k), with the phase of the circle.
+
+    Returns:
+        falling cat, bent by 76.3° to all sides in turn: rotation, half a turn [rad].
+    """
     half = np.arccos((np.sqrt(CAT_RATIO**2 - CAT_RATIO + 1.0) - CAT_RATIO) / (1.0 - CAT_RATIO))
     heading = 2.0 * np.pi * np.arange(16) / 16
     gait = rolling(np.full(16, 2.0 * half), heading)
@@ -502,14 +491,13 @@ def cat_equal_bends() -> Numbers:
     return numbers(np.pi, phase(connection, gait).screw.angle)
 
 
-@row(
-    "kane-scher-cat",
-    "Kane and Scher's cat, bent by 100° forward and 20° backward: rotation [rad]",
-    CAT,
-    relative=1e-10,
-)
+@row(CAT, relative=1e-10)
 def kane_scher_cat() -> Numbers:
-    """Compare ∫ (1 − k c/(k c² + s²)) dφ over a cone with the phase of pinred."""
+    """Compare ∫ (1 − k c/(k c² + s²)) dφ over a cone with the phase of pinred.
+
+    Returns:
+        Kane and Scher's cat, bent by 100° forward and 20° backward: rotation [rad].
+    """
     tilt, cone = np.radians(40.0), np.radians(60.0)
 
     def spine(theta: Array) -> tuple[Array, Array]:
@@ -534,14 +522,13 @@ def kane_scher_cat() -> Numbers:
     return numbers(expected, angle)
 
 
-@row(
-    "hopper",
-    "hopper in flight: rotation of the body by a rectangle of hip angle and leg length [rad]",
-    "Z. Li, R. Montgomery, Proc. IEEE Int. Conf. Robotics and Automation (1990)",
-    relative=1e-12,
-)
+@row("Z. Li, R. Montgomery, Proc. IEEE Int. Conf. Robotics and Automation (1990)", relative=1e-12)
 def hopper() -> Numbers:
-    """Compare −Δψ (A(l₁) − A(l₂)) with the phase of four strokes."""
+    """Compare −Δψ (A(l₁) − A(l₂)) with the phase of four strokes.
+
+    Returns:
+        hopper in flight: rotation of the body by a rectangle of hip angle and leg length [rad].
+    """
     robot = (
         Model("hopper").body("trunk", mass=10.0, inertia=1.0)
         .hinge("hip", parent="trunk", axis="z", mass=0.5, inertia=0.02)
@@ -558,14 +545,13 @@ def hopper() -> Numbers:
     return numbers(1.5 * (share(0.9) - share(0.5)), phase(connection, gait).pose[2])
 
 
-@row(
-    "diver-arm",
-    "diver who swings one arm down through half a turn: tilt of the body [rad]",
-    "H. R. Dullin, W. Tong, SIAM J. Appl. Dyn. Syst. 15 (2016) 1806",
-    relative=1e-10,
-)
+@row("H. R. Dullin, W. Tong, SIAM J. Appl. Dyn. Syst. 15 (2016) 1806", relative=1e-10)
 def diver_arm() -> Numbers:
-    """Compare an arctangent with a simulation of robots/diver at zero momentum."""
+    """Compare an arctangent with a simulation of robots/diver at zero momentum.
+
+    Returns:
+        diver who swings one arm down through half a turn: tilt of the body [rad].
+    """
     shoulder, arm = np.array([0.2, 0.45]), np.array([0.0, -0.3])  # across and up [m]
     bodies = ((42.0, [0.0, 0.2], 2.2), (25.0, [0.0, -0.5], 1.6), (4.0, [-0.2, 0.75], 0.12))
     mass = sum(body[0] for body in bodies)
@@ -593,14 +579,13 @@ VIRTUAL = (
 )
 
 
-@row(
-    "dynamic-singularity",
-    "planar arm of 40, 4 and 3 kg: second joint at a dynamic singularity, first at −65° [°]",
-    "E. Papadopoulos, S. Dubowsky, J. Dyn. Sys., Meas., Control 115 (1993) 44",
-    printed="-11.41",
-)
+@row("E. Papadopoulos, S. Dubowsky, J. Dyn. Sys., Meas., Control 115 (1993) 44", printed="-11.41")
 def dynamic_singularity() -> Numbers:
-    """Compare the printed angle with the root of the least singular value."""
+    """Compare the printed angle with the root of the least singular value.
+
+    Returns:
+        planar arm of 40, 4 and 3 kg: second joint at a dynamic singularity, first at −65° [°].
+    """
     arm = FloatingArm(load("floating_arm"), "hand")
     (angle,) = arm.singular_values_of("q2", [np.radians(-65.0), 0.0], limits=(-1.5, 1.5))
     return numbers(-11.41, np.degrees(angle))
@@ -620,14 +605,13 @@ def virtual_jacobian(x: Array) -> Array:
     return np.asarray(np.array([-virtual * np.sin(angle), virtual * np.cos(angle)]) @ rates)
 
 
-@row(
-    "singular-angle",
-    "the same angle, to all digits, by virtual links [°]",
-    VIRTUAL,
-    relative=1e-9,
-)
+@row(VIRTUAL, relative=1e-9)
 def singular_angle() -> Numbers:
-    """Compare the zero of the determinant of virtual links with the singular value."""
+    """Compare the zero of the determinant of virtual links with the singular value.
+
+    Returns:
+        the same angle, to all digits, by virtual links [°].
+    """
     first = np.radians(-65.0)
     expected = brentq(lambda q2: np.linalg.det(virtual_jacobian(np.array([first, q2]))), -0.5, 0.0,
                       xtol=1e-14)  # fmt: skip
@@ -636,28 +620,26 @@ def singular_angle() -> Numbers:
     return numbers(np.degrees(expected), np.degrees(angle))
 
 
-@row(
-    "virtual-manipulator",
-    "the same arm: its generalised Jacobian at (0.4, 0.9) rad, by virtual links [m]",
-    VIRTUAL,
-    relative=1e-13,
-)
+@row(VIRTUAL, relative=1e-13)
 def virtual_manipulator() -> Numbers:
-    """Compare virtual links about the centre of mass with the generalised Jacobian."""
+    """Compare virtual links about the centre of mass with the generalised Jacobian.
+
+    Returns:
+        the same arm: its generalised Jacobian at (0.4, 0.9) rad, by virtual links [m].
+    """
     x = np.array([0.4, 0.9])
     arm = FloatingArm(load("floating_arm"), "hand")
     jacobian = arm.generalized_jacobian(x, axes="world")[:2]
     return numbers(virtual_jacobian(x).ravel(), jacobian.ravel())
 
 
-@row(
-    "spacedyn-one-link",
-    "SpaceDyn's example of one link: rates of the base about y and z per joint rate",
-    "SpaceDyn, Space Robotics Laboratory, Tohoku University, Set_global_value.py",
-    relative=1e-13,
-)
+@row("SpaceDyn, Space Robotics Laboratory, Tohoku University, Set_global_value.py", relative=1e-13)
 def spacedyn_one_link() -> Numbers:
-    """Compare −5/36 and −13/36 with the connection."""
+    """Compare −5/36 and −13/36 with the connection.
+
+    Returns:
+        SpaceDyn's example of one link: rates of the base about y and z per joint rate.
+    """
     robot = (
         Model("one_link").body("base", mass=100.0, inertia=10.0)
         .hinge("link", parent="base", axis="z", at=[0.0, 0.5, 0.0], mass=100.0, inertia=10.0,
@@ -667,14 +649,14 @@ def spacedyn_one_link() -> Numbers:
     return numbers([-5.0 / 36.0, -13.0 / 36.0], -A[4:, 0])
 
 
-@row(
-    "satellite-arm",
-    "satellite of 2500 kg, arm of 150 kg as ETS-VII: turn of the base by a loop of the arm [rad]",
-    "K. Yoshida, Int. J. Robotics Res. 22 (2003) 321; numbers of our own",
-    relative=1e-11,
-)
+@row("K. Yoshida, Int. J. Robotics Res. 22 (2003) 321; numbers of our own", relative=1e-11)
 def satellite_arm() -> Numbers:
-    """Compare arctangents with the phase: a turn by 90°, out, back, and in."""
+    """Compare arctangents with the phase: a turn by 90°, out, back, and in.
+
+    Returns:
+        satellite of 2500 kg, arm of 150 kg as ETS-VII: turn of the base by a loop of the arm
+        [rad].
+    """
     mass, arm, at, reach = 2500.0, 150.0, 1.2, 1.0
     robot = (
         Model("satellite").body("base", mass=mass, inertia=2000.0)

@@ -10,26 +10,18 @@ import numpy as np
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
+from ...analysis.connections.connection import Connection
+from ...analysis.connections.connection_physics import Ellipse, Ellipsoid, Rod, Wheel
+from ...analysis.connections.mixed import follow_mixed, mixed_connection, simulate_mixed
+from ...analysis.phases.gait import Gait
+from ...analysis.phases.phase import phase
 from ...common.arrays import Array
-from . import (
-    Connection,
-    Ellipse,
-    Ellipsoid,
-    Gait,
-    Model,
-    Rod,
-    Scene,
-    Stop,
-    Wheel,
-    capture,
-    follow_mixed,
-    land,
-    load,
-    mixed_connection,
-    phase,
-    simulate,
-    simulate_mixed,
-)
+from ...scene.scene import Scene
+from ...scene.stop import Stop
+from ...simulation.contact.capture import capture, land
+from ...simulation.simulate import simulate
+from ...system.load import load
+from ...system.robot_description import Model
 from .row import Numbers, numbers, row
 
 HALF = 1.0 / 6.0  # half of the length of a link [m]
@@ -79,51 +71,51 @@ def purcell(ratio: float) -> Connection:
     return Connection.viscous(load("purcell_swimmer"), rods)
 
 
-@row(
-    "purcell-straight",
-    "Purcell's swimmer, stretched out: sideways speed and turn of the body per rate of a joint",
-    "E. M. Purcell, Am. J. Phys. 45 (1977) 3",
-    relative=1e-13,
-)
+@row("E. M. Purcell, Am. J. Phys. 45 (1977) 3", relative=1e-13)
 def purcell_straight() -> Numbers:
-    """Compare L/6 and 7/27, for either joint, with the connection."""
+    """Compare L/6 and 7/27, for either joint, with the connection.
+
+    Returns:
+        Purcell's swimmer, stretched out: sideways speed and turn of the body per rate of a joint.
+    """
     expected = [1.0 / 18.0, 1.0 / 18.0, -7.0 / 27.0, 7.0 / 27.0]
     return numbers(expected, purcell(2.0).local([0.0, 0.0])[1:].ravel())
 
 
-@row(
-    "purcell-small-stroke",
-    "Purcell's swimmer, stretched out: displacement per area of a small stroke, drag ratio 2 [m]",
-    "L. E. Becker, S. A. Koehler, H. A. Stone, J. Fluid Mech. 490 (2003) 15",
-    relative=1e-12,
-)
+@row("L. E. Becker, S. A. Koehler, H. A. Stone, J. Fluid Mech. 490 (2003) 15", relative=1e-12)
 def purcell_small_stroke() -> Numbers:
-    """Compare 5 L (k − 1)/81, for drag ratio k and length L, with the curvature."""
+    """Compare 5 L (k − 1)/81, for drag ratio k and length L, with the curvature.
+
+    Returns:
+        Purcell's swimmer, stretched out: displacement per area of a small stroke, drag ratio 2
+        [m].
+    """
     B = purcell(2.0).curvature([0.0, 0.0])
     return numbers([5.0 / 243.0, 0.0, 0.0], B[:, 0, 1])
 
 
-@row(
-    "purcell-circle",
-    "Purcell's swimmer, drag ratio 2: displacement by a circle of 1 rad in its joints [m]",
-    "E. M. Purcell, Am. J. Phys. 45 (1977) 3",
-    relative=1e-11,
-)
+@row("E. M. Purcell, Am. J. Phys. 45 (1977) 3", relative=1e-11)
 def purcell_circle() -> Numbers:
-    """Compare resistive-force theory, integrated by SciPy, with the phase."""
+    """Compare resistive-force theory, integrated by SciPy, with the phase.
+
+    Returns:
+        Purcell's swimmer, drag ratio 2: displacement by a circle of 1 rad in its joints [m].
+    """
     L = 2.0 * HALF
     expected = pose_by_hand(np.array([L, 2.0 * L, 2.0 * L**3 / 12.0]))
     return numbers(expected, phase(purcell(2.0), CIRCLE, tolerance=1e-12).pose)
 
 
 @row(
-    "perfect-fluid-circle",
-    "three ellipses of ratio 10 in a perfect fluid: pose after a circle of 1 rad",
     "E. Kanso, J. E. Marsden, C. W. Rowley, J. B. Melli-Huber, J. Nonlinear Sci. 15 (2005) 255",
     relative=1e-11,
 )
 def perfect_fluid_circle() -> Numbers:
-    """Compare Kirchhoff's added masses, integrated by SciPy, with the phase."""
+    """Compare Kirchhoff's added masses, integrated by SciPy, with the phase.
+
+    Returns:
+        three ellipses of ratio 10 in a perfect fluid: pose after a circle of 1 rad.
+    """
     a, b, L, density = HALF, 0.1 * HALF, 2.0 * HALF, 10.0
     added = [np.pi * b**2, np.pi * a**2, np.pi / 8.0 * (a**2 - b**2) ** 2]
     tensor = np.array([L, L, L**3 / 12.0]) + density * np.array(added)
@@ -132,14 +124,13 @@ def perfect_fluid_circle() -> Numbers:
     return numbers(pose_by_hand(tensor), phase(fish, CIRCLE, tolerance=1e-12).pose)
 
 
-@row(
-    "spheroid",
-    "prolate spheroid 2:1 in a perfect fluid: added masses and moment, relative to its own",
-    LAMB,
-    relative=1e-12,
-)
+@row(LAMB, relative=1e-12)
 def spheroid() -> Numbers:
-    """Compare Lamb's closed form with the added-mass tensor."""
+    """Compare Lamb's closed form with the added-mass tensor.
+
+    Returns:
+        prolate spheroid 2:1 in a perfect fluid: added masses and moment, relative to its own.
+    """
     e = np.sqrt(0.75)
     log = np.log((1.0 + e) / (1.0 - e))
     p = 2.0 * (1.0 - e**2) / e**3 * (0.5 * log - e)
@@ -150,14 +141,13 @@ def spheroid() -> Numbers:
     return numbers([p / (2.0 - p), q / (2.0 - q), turn], added_masses[[0, 1, 5]])
 
 
-@row(
-    "kinematic-snake",
-    "kinematic snake of three links at (0.9, −0.4) rad: speed and turn per rate of each joint",
-    "E. A. Shammas, H. Choset, A. A. Rizzi, Int. J. Robotics Res. 26 (2007) 1043",
-    relative=1e-12,
-)
+@row("E. A. Shammas, H. Choset, A. A. Rizzi, Int. J. Robotics Res. 26 (2007) 1043", relative=1e-12)
 def kinematic_snake() -> Numbers:
-    """Compare the solution of two wheel constraints with the connection."""
+    """Compare the solution of two wheel constraints with the connection.
+
+    Returns:
+        kinematic snake of three links at (0.9, −0.4) rad: speed and turn per rate of each joint.
+    """
     (c1, c2), (s1, s2) = np.cos([0.9, -0.4]), np.sin([0.9, -0.4])
     d = s2 * (1.0 + c1) - s1 * (1.0 + c2)
     expected = np.array([-HALF * (1.0 + c2), -HALF * (1.0 + c1), -s2, -s1]) / d
@@ -167,14 +157,16 @@ def kinematic_snake() -> Numbers:
 
 
 @row(
-    "chaplygin-sleigh",
-    "Chaplygin's sleigh from a spin on the spot: speed [m/s] and heading [rad] after 3 s",
     "Ju. I. Neimark, N. A. Fufaev, Dynamics of Nonholonomic Systems (1972); A. M. Bloch, "
     "Nonholonomic Mechanics and Control (2003)",
     relative=1e-10,
 )
 def chaplygin_sleigh() -> Numbers:
-    """Compare c tanh κt and the Gudermannian with a simulation; a rotor stays at rest in space."""
+    """Compare c tanh κt and the Gudermannian with a simulation; a rotor stays at rest in space.
+
+    Returns:
+        Chaplygin's sleigh from a spin on the spot: speed [m/s] and heading [rad] after 3 s.
+    """
     mass, moment, a, c, t = 3.0, 0.5, 0.4, 0.9, 3.0
     robot = (
         Model("sleigh").body("sleigh", mass=mass - 1.0, inertia=moment, com=[a, 0.0, 0.0])
@@ -196,14 +188,13 @@ def planar_rate(heading: float, speed: float, turn: float) -> list[float]:
     return [np.cos(heading) * speed, np.sin(heading) * speed, turn]
 
 
-@row(
-    "roller-racer",
-    "roller racer, steered by 0.6 sin 2πt rad: pose after 2 s [m, m, rad]",
-    "P. S. Krishnaprasad, D. P. Tsakiris, Dyn. Syst. 16 (2001) 347",
-    relative=1e-10,
-)
+@row("P. S. Krishnaprasad, D. P. Tsakiris, Dyn. Syst. 16 (2001) 347", relative=1e-10)
 def roller_racer() -> Numbers:
-    """Compare one equation for the forward speed, by SciPy, with the mixed connection."""
+    """Compare one equation for the forward speed, by SciPy, with the mixed connection.
+
+    Returns:
+        roller racer, steered by 0.6 sin 2πt rad: pose after 2 s [m, m, rad].
+    """
     front, back = 0.5, 0.2  # from the rear axle to the hinge, and to the steered axle [m]
     mass, moment, arm_mass, arm = 3.0, 0.4, 0.5, 0.02
     robot = (
@@ -271,36 +262,33 @@ SNAKEBOARD = (
 )
 
 
-@row(
-    "snakeboard-drive",
-    "snakeboard, axles and rotor at 1:1 (drive gait): pose after 2 cycles [m, m, rad]",
-    SNAKEBOARD,
-    relative=1e-10,
-)
+@row(SNAKEBOARD, relative=1e-10)
 def snakeboard_drive() -> Numbers:
-    """Compare the pose after two cycles of the drive gait."""
+    """Compare the pose after two cycles of the drive gait.
+
+    Returns:
+        snakeboard, axles and rotor at 1:1 (drive gait): pose after 2 cycles [m, m, rad].
+    """
     return snakeboard(steering=1, spinning=1)
 
 
-@row(
-    "snakeboard-rotate",
-    "snakeboard, axles and rotor at 1:2 (rotate gait): pose after 2 cycles [m, m, rad]",
-    SNAKEBOARD,
-    relative=1e-10,
-)
+@row(SNAKEBOARD, relative=1e-10)
 def snakeboard_rotate() -> Numbers:
-    """Compare the pose after two cycles of the rotate gait."""
+    """Compare the pose after two cycles of the rotate gait.
+
+    Returns:
+        snakeboard, axles and rotor at 1:2 (rotate gait): pose after 2 cycles [m, m, rad].
+    """
     return snakeboard(steering=1, spinning=2)
 
 
-@row(
-    "snakeboard-park",
-    "snakeboard, axles and rotor at 2:3 (parking gait): pose after 2 cycles [m, m, rad]",
-    SNAKEBOARD,
-    relative=1e-10,
-)
+@row(SNAKEBOARD, relative=1e-10)
 def snakeboard_park() -> Numbers:
-    """Compare the pose after two cycles of the parking gait."""
+    """Compare the pose after two cycles of the parking gait.
+
+    Returns:
+        snakeboard, axles and rotor at 2:3 (parking gait): pose after 2 cycles [m, m, rad].
+    """
     return snakeboard(steering=2, spinning=3)
 
 
@@ -308,14 +296,16 @@ POINT = 1e-12  # moment of inertia of bodies that the sources take as points [kg
 
 
 @row(
-    "disc-and-stick",
-    "a disc hits the end of a stick and sticks: speed of both [m/s], rotation [rad/s], loss [J]",
     "R. A. Serway, J. W. Jewett, Physics for Scientists and Engineers (2008), example 11.9; "
     "C. E. Mungan, Perfectly inelastic collision between a disk and a stick (2012)",
     relative=1e-11,
 )
 def disc_and_stick() -> Numbers:
-    """Compare a disc of 2 kg at 3 m/s, and a stick of 1 kg and 4 m at rest, with the book."""
+    """Compare a disc of 2 kg at 3 m/s, and a stick of 1 kg and 4 m at rest, with the book.
+
+    Returns:
+        a disc hits the end of a stick and sticks: speed of both [m/s], rotation [rad/s], loss [J].
+    """
     still = (0.0, 0.0, 0.0)
     stick = Model("stick").body("stick", mass=1.0, inertia=1.0 * 4.0**2 / 12.0)
     stick = stick.fixed("end", parent="stick", at=[0.0, 2.0, 0.0])
@@ -334,15 +324,14 @@ def disc_and_stick() -> Numbers:
     return numbers([2.0, -1.0, 1.0], [speed, rotation, both.energy_lost])
 
 
-@row(
-    "rimless-wheel",
-    "a wheel of six spokes, radius of gyration 0.4 m, rolls onto its next spoke: ratio of its "
-    "angular velocities",
-    "T. McGeer, Int. J. Robotics Res. 9 (1990) 62, on the rimless wheel",
-    relative=1e-14,
-)
+@row("T. McGeer, Int. J. Robotics Res. 9 (1990) 62, on the rimless wheel", relative=1e-14)
 def rimless_wheel() -> Numbers:
-    """Compare (cos 2α + r²) / (1 + r²), for half an angle α of two spokes, with a landing."""
+    """Compare (cos 2α + r²) / (1 + r²), for half an angle α of two spokes, with a landing.
+
+    Returns:
+        a wheel of six spokes, radius of gyration 0.4 m, rolls onto its next spoke: ratio of its
+        angular velocities.
+    """
     half, gyration, rate = np.pi / 6.0, 0.4, -1.3
     wheel = Model("wheel").body("hub", mass=5.0, inertia=5.0 * gyration**2)
     for name, angle in (("old", -half), ("new", half)):
@@ -360,14 +349,15 @@ LIGHT = 1e-9  # mass of a foot of the walker, relative to that of its hip
 
 
 @row(
-    "simplest-walker",
-    "the simplest walking model at its heel strike, at a step of 0.2 rad and -0.2 rad/s: rates of "
-    "the stance leg and between the legs [rad/s]",
-    "M. Garcia, A. Chatterjee, A. Ruina, M. Coleman, J. Biomech. Eng. 120 (1998) 281",
-    relative=1e-7,
+    "M. Garcia, A. Chatterjee, A. Ruina, M. Coleman, J. Biomech. Eng. 120 (1998) 281", relative=1e-7
 )
 def simplest_walker() -> Numbers:
-    """Compare cos 2θ θ̇ and cos 2θ (1 − cos 2θ) θ̇ with a landing of two legs with light feet."""
+    """Compare cos 2θ θ̇ and cos 2θ (1 − cos 2θ) θ̇ with a landing of two legs with light feet.
+
+    Returns:
+        the simplest walking model at its heel strike, at a step of 0.2 rad and -0.2 rad/s: rates
+        of the stance leg and between the legs [rad/s].
+    """
     step, rate, swing = 0.2, -0.2, -0.7  # any rate of the swinging leg makes no difference
     point, foot = 1e-9 * LIGHT, [0.0, -1.0, 0.0]
     walker = Model("walker").body("hip", mass=1.0, inertia=point)
@@ -387,14 +377,16 @@ def simplest_walker() -> Numbers:
 
 
 @row(
-    "floor-pendulum",
-    "a spherical pendulum that bounces from the floor with e = 0.6: times of three impacts [s], "
-    "and the rate before the third [rad/s]",
     "A. D. Ames, S. Sastry, Hybrid Routhian reduction of Lagrangian hybrid systems, ACC (2006)",
     relative=1e-10,
 )
 def floor_pendulum() -> Numbers:
-    """Compare quadratures of the reduced system, of one degree of freedom, with a simulation."""
+    """Compare quadratures of the reduced system, of one degree of freedom, with a simulation.
+
+    Returns:
+        a spherical pendulum that bounces from the floor with e = 0.6: times of three impacts [s],
+        and the rate before the third [rad/s].
+    """
     mass, length, shaft, gravity, e = 2.0, 0.7, 0.05, 9.81, 0.6
     lean, turning, floor = 0.5, 3.0, np.pi / 2.0
     inertia = mass * length**2

@@ -137,11 +137,16 @@ ROWS: dict[str, Row] = {}  # all rows by name, in the order of the table
 
 
 def row(
-    name: str, quantity: str, source: str, *, relative: float = 0.0, printed: str = ""
+    source: str, *, relative: float = 0.0, printed: str = ""
 ) -> Callable[[Callable[[], Numbers]], Row]:
-    """Return a decorator that makes a row of a function; see Row for the arguments."""
+    """Return a decorator that makes a row of a function; see Row for the arguments.
+
+    The function has the name of the row. The section Returns of its docstring is the quantity.
+    """
 
     def decorate(compute: Callable[[], Numbers]) -> Row:
+        name = compute.__name__.replace("_", "-")
+        quantity = " ".join((compute.__doc__ or "").partition("Returns:")[2].split()).rstrip(".")
         ROWS[name] = Row(name, quantity, source, compute, relative, printed)
         return ROWS[name]
 

@@ -6,7 +6,7 @@ The decorator `check` adds a check to the suite.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import Literal, TypeAlias, TypeVar
@@ -141,10 +141,11 @@ class Outcome:
 CHECKS: dict[str, Check] = {}  # all checks by name, in the order of the table
 
 
-def check(name: str, what: str) -> Callable[[Callable[[Trial], Cases]], Check]:
-    """Return a decorator that makes a check of a generator of cases; see Check."""
+def check(what: str) -> Callable[[Callable[[Trial], Cases]], Check]:
+    """Return a decorator that makes a check of a generator of cases, with its name; see Check."""
 
     def decorate(cases: Callable[[Trial], Cases]) -> Check:
+        name = cases.__name__
         CHECKS[name] = Check(name, what, cases)
         return CHECKS[name]
 
@@ -171,14 +172,6 @@ EPS = 2.220446049250313e-16
 def select_checks(names: Sequence[str]) -> list[Check]:
     """Return the named checks, or all if `names` is empty; raise InputError for an unknown name."""
     return list(select_named(names, CHECKS, "check").values())
-
-
-def run_checks(
-    checks: Iterable[Check], trial: Trial, *, on_case: Callable[[Check, int], None] | None = None
-) -> Iterator[Outcome]:
-    """Run checks in order.  on_case: called with a check and the number of its finished cases."""
-    for check in checks:
-        yield run_check(check, trial, on_case)
 
 
 def run_check(

@@ -40,7 +40,7 @@ _WALK = 10.0
 _ROUNDING = 50.0  # times the growth
 
 
-@check("tolerances", "error by ABA over 10 s, relative, per tolerance")
+@check("error by ABA over 10 s, relative, per tolerance")
 def tolerances(trial: Trial) -> Cases:
     """Compare every bundled robot with ABA, at tolerances from 1e-4 to 1e-13."""
     for name in trial.pick(("planar_chain5", "falling_cat"), tuple(bundled_robots())):
@@ -55,7 +55,7 @@ def tolerances(trial: Trial) -> Cases:
                 yield Case(f"{name}, {traj.run.method}, {rtol:.0e}", error, PER_GROWTH)
 
 
-@check("between", "defect of half a step, per tolerance")
+@check("defect of half a step, per tolerance")
 def between(trial: Trial) -> Cases:
     """Check that dense output satisfies the equations of motion between step ends."""
     for name in trial.pick(("falling_cat",), tuple(bundled_robots())):
@@ -67,7 +67,7 @@ def between(trial: Trial) -> Cases:
                 yield Case(f"{name}, {traj.run.method}, {rtol:.0e}", defect, _DENSE)
 
 
-@check("periods", "difference after whole periods, per tolerance")
+@check("difference after whole periods, per tolerance")
 def periods(trial: Trial) -> Cases:
     """Check that periodic motions return to their initial state after each closed-form period."""
     counts = trial.pick((1, 100), (1, 10, 100, 1000))
@@ -87,7 +87,7 @@ def periods(trial: Trial) -> Cases:
             yield Case(f"{swing.name}, {count} periods", float(error) / _RETURN_RTOL, bound)
 
 
-@check("reversal", "error of the return, relative, per tolerance")
+@check("error of the return, relative, per tolerance")
 def reversal(trial: Trial) -> Cases:
     """Check that a motion with reversed rates returns to its initial state."""
     for name in trial.pick(("falling_cat", "cartpole"), tuple(bundled_robots())):
@@ -156,7 +156,7 @@ def swings() -> list[Swing]:
 
 # Pinocchio computes the energies of states at random times, so that no phase is preferred. The
 # drift is the slope of the fitted line, with its standard deviation.
-@check("energy", "change of energy, relative")
+@check("change of energy, relative")
 def energy(trial: Trial) -> Cases:
     """Fit lines to the energy over up to a million periods: symplectic methods have no slope."""
     periods = trial.pick(1000, 100_000, 1_000_000)
@@ -249,7 +249,7 @@ _STARTS = {
 # Without the base, DOP853 integrates the three components of μ. Their norm is a Casimir function, a
 # constant of motion that DOP853 conserves up to its tolerance. Gauss methods lift μ to the
 # quaternion.
-@check("casimirs", "difference from the start, relative")
+@check("difference from the start, relative")
 def casimirs(trial: Trial) -> Cases:
     """Check that quaternions and momenta drift at most like a random walk of round-off."""
     count = trial.pick(10_000, 1_000_000, 10_000_000)
@@ -314,7 +314,7 @@ _TIMES = np.linspace(0.0, 5.0, 21)
 
 # With fixed steps, motions differ by round-off alone. Step control amplifies round-off, because
 # error estimates that are only round-off then determine the step length.
-@check("frames", "difference of shape and pose, at 21 times")
+@check("difference of shape and pose, at 21 times")
 def frames(trial: Trial) -> Cases:
     """Check that a motion does not depend on the frames of the world and of the base."""
     methods: list[Method | Literal["auto"]] = ["auto", *(make(1e-2) for make in trial.fixed)]
@@ -414,7 +414,7 @@ class Units:
 _THOUSANDS = Units(1e3, 1e3, 1e3)  # g, mm, ms
 
 
-@check("units", "difference of configurations in 100 systems of units")
+@check("difference of configurations in 100 systems of units")
 def units(trial: Trial) -> Cases:
     """Check that a motion does not depend on the system of units, such as g, mm and ms."""
     rng = np.random.default_rng(2)

@@ -33,7 +33,7 @@ from ...common.parameter import VectorParameter, by_name, refuse_entry
 from ...forces.force_model import ForceModel
 from ...forces.force_numbers import Tables
 from ...kernels.build import expect_code
-from ...kernels.evaluate import evaluate
+from ...kernels.kernel import evaluate
 from ...kernels.flow_functions import initial_conditions_of
 from ...kernels.initial_conditions import TwistOrMomentum
 from ...kernels.kernel import Kernel, call_value

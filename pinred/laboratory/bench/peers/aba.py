@@ -3,49 +3,88 @@
 The model of another tool is timed only if its mass matrix and accelerations equal Pinocchio's.
 SciPy's integrators run over the vector field of any model.
 
-ABA is integrated by hand-written methods and by SciPy's. The methods with fixed steps integrate
-Pinocchio's (q, v) with pin.integrate. SciPy's methods integrate the state (root, x, v) of
-judge/reference_solution.py. The judge's vector field takes ten times as long as `pin.aba` and would
-make SciPy's methods look slow. The field here allocates no array except its result and computes the
-kinematics of the root with Python floats.
+ABA is integrated by SciPy's methods, on the state (root, x, v) of judge/reference_solution.py. The
+judge's vector field takes ten times as long as `pin.aba` and would make them look slow. The field
+here allocates no array except its result and computes the root's kinematics with Python floats.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cache, partial
-from importlib.util import find_spec
-from math import cos, sin
-from typing import Any, Protocol
-
 import numpy as np
 import pinocchio as pin
-from scipy.integrate import ode, odeint, solve_ivp
-
+from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
+from math import cos
+from math import sin
+from typing import Any
+from scipy.integrate import ode
+from scipy.integrate import odeint
+from scipy.integrate import solve_ivp
 from ....common.arrays import Array
-from ....common.errors import IntegrationError, UnsupportedOperationError, install_command
+from ....common.errors import IntegrationError
+from ....common.errors import UnsupportedOperationError
+from ....common.errors import install_command
 from ....common.waiting import held_interrupt
 from ....judge.full_system import root_motion
-from ....lie.group import Group
 from ....reduction.pointwise_reduction import symmetric
 from ....system.system import System
-from ..problems import ATOL, UNKNOWN, End, PreparedRun, Problem, Solver, decades, halvings, steps_of
+from ..problems import ATOL
+from ..problems import End
+from ..problems import PreparedRun
+from ..problems import Problem
+from ..problems import Solver
+from ..problems import decades
 
 INSTALL = install_command("bench")
 EQUAL = 1e-9  # largest relative difference that counts as equal
 _STATES = 5
 
 
-class Bridge(Protocol):
-    """A peer's model of a system, in Pinocchio's coordinates."""
+class PeerModel:
+    """A peer's model of a system, and the conversion of its velocities to Pinocchio's.
+
+    Attributes:
+        system: The system.
+    """
+
+    system: System
+
+    def turn(self, q: Array) -> Array:
+        """Return the orthogonal matrix (n, n) that maps Pinocchio's velocities to the peer's.
+
+        The linear velocity of the root is in fixed axes, as in MuJoCo and Drake.
+        """
+        T, k = np.eye(self.system.n), self.system.group.linear
+        T[:k, :k] = self.system.group.Ad(self.system.configuration(q).pose)[:k, :k]
+        return T
+
+    def equations(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return the mass matrix and accelerations of the peer's velocities, without torques.
+
+        Args:
+            q: Pinocchio's configuration, (nq,).
+            v: Pinocchio's velocity, (n,).
+        Returns:
+            (n, n), NaN if the peer has none, and (n,).
+        """
+        raise NotImplementedError
 
     def mass_matrix(self, q: Array) -> Array:
         """Return the mass matrix (n, n) with respect to Pinocchio's velocities."""
+        T = self.turn(q)
+        return np.asarray(T.T @ self.equations(q, np.zeros(self.system.n))[0] @ T)
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """Return Pinocchio's dv/dt without torques, (n,)."""
+        a, axes = self.turn(q).T @ self.equations(q, v)[1], list(self.system.group.axes)
+        twist, k = np.zeros(6), self.system.group.linear
+        twist[axes] = v[: self.system.r]
+        a[:k] -= np.cross(twist[3:], twist[:3])[axes[:k]]  # due to the rotation of body axes
+        return np.asarray(a)
 
 
 @dataclass(frozen=True)
@@ -67,7 +106,7 @@ class Equality:
         return bool(np.isfinite(self.acceleration) and worst <= EQUAL)
 
 
-def equality(system: System, bridge: Bridge) -> Equality:
+def equality(system: System, peer: PeerModel) -> Equality:
     """Compare a peer's model of a system with Pinocchio's."""
     model, data = system.model, system.model.createData()
     rng = np.random.default_rng(0)
@@ -76,26 +115,21 @@ def equality(system: System, bridge: Bridge) -> Equality:
         pose = system.group.exp(rng.normal(size=system.r))
         q = system.q(pose, rng.uniform(-1.0, 1.0, system.m))
         v = rng.normal(size=system.n)
-        mass.append(_relative(bridge.mass_matrix(q), symmetric(pin.crba(model, data, q))))
+        mass.append(_relative(peer.mass_matrix(q), symmetric(pin.crba(model, data, q))))
         expected = pin.aba(model, data, q, v, np.zeros(system.n))
-        acceleration.append(_relative(bridge.acceleration(q, v), np.array(expected)))
+        acceleration.append(_relative(peer.acceleration(q, v), np.array(expected)))
     return Equality(float(np.max(mass)), float(np.max(acceleration)))
 
 
-def no_mass_matrix(system: System) -> Array:
-    """Return a matrix of NaN, for peers without a mass matrix."""
-    return np.full((system.n, system.n), UNKNOWN)
-
-
 def missing_unless_equal(
-    package: str, label: str, bridge: Callable[[System], Bridge]
+    package: str, label: str, model: Callable[[System], PeerModel]
 ) -> Callable[[Problem], str]:
     """Return a function that says why a peer cannot run a problem; "" if it can."""
 
     @cache
     def why(system: System) -> str:
         try:
-            differences = equality(system, bridge(system))
+            differences = equality(system, model(system))
         except UnsupportedOperationError as error:
             return f"{label} is left out: {error}"
         if differences.holds:
@@ -118,20 +152,6 @@ def _relative(actual: Array, expected: Array) -> float:
     return float(np.abs(actual - expected).max() / (np.abs(expected).max() or 1.0))
 
 
-def root_rotation(system: System, q: Array) -> Array:
-    """Return the matrix (k, k) that rotates the root's linear velocity from body to fixed axes."""
-    k, pose = system.group.linear, system.configuration(q).pose
-    return system.group.Ad(pose)[:k, :k]
-
-
-def frame_rotation_term(system: System, v: Array) -> Array:
-    """Return ω × v of the root, (k,): the acceleration due to the rotation of body axes."""
-    axes, k = list(system.group.axes), system.group.linear
-    twist = np.zeros(6)
-    twist[axes] = v[: system.r]
-    return np.asarray(np.cross(twist[3:], twist[:3])[axes[:k]])
-
-
 _MOST = 100_000_000  # largest number of steps
 Rate = Callable[[float, Array], Array]
 
@@ -151,15 +171,15 @@ class Field:
     end: Callable[[Array, float], End]
 
 
-def by_solve_ivp(field: Field, problem: Problem, tolerance: float, method: str) -> PreparedRun:
-    """Prepare `solve_ivp` with DOP853 or LSODA."""
+def by_solve_ivp(field: Field, problem: Problem, tolerance: float) -> PreparedRun:
+    """Prepare `solve_ivp` with DOP853."""
     span = (0.0, problem.start.duration)
 
     def run() -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             solution = solve_ivp(
-                field.rate, span, field.y0, method=method, rtol=tolerance, atol=ATOL * tolerance
+                field.rate, span, field.y0, "DOP853", rtol=tolerance, atol=ATOL * tolerance
             )
         if not solution.success:
             raise IntegrationError(solution.message)
@@ -168,13 +188,13 @@ def by_solve_ivp(field: Field, problem: Problem, tolerance: float, method: str) 
     return PreparedRun(run, lambda solution: field.end(solution.y[:, -1], float(solution.nfev)))
 
 
-def by_ode(field: Field, problem: Problem, tolerance: float, method: str) -> PreparedRun:
+def by_ode(field: Field, problem: Problem, tolerance: float) -> PreparedRun:
     """Prepare `ode` with Hairer's dop853."""
     duration = problem.start.duration
 
     def run(rate: Rate = field.rate) -> Array:
         solver = ode(rate).set_integrator(
-            method, rtol=tolerance, atol=ATOL * tolerance, nsteps=_MOST
+            "dop853", rtol=tolerance, atol=ATOL * tolerance, nsteps=_MOST
         )
         with held_interrupt() as stopped, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # failures raise an error below
@@ -182,7 +202,7 @@ def by_ode(field: Field, problem: Problem, tolerance: float, method: str) -> Pre
             solver.set_initial_value(field.y0, 0.0)
             y = solver.integrate(duration)
         if not solver.successful():
-            raise IntegrationError(f"{method} stopped with code {solver.get_return_code()}")
+            raise IntegrationError(f"dop853 stopped with code {solver.get_return_code()}")
         return np.asarray(y)
 
     def end(y: Array) -> End:
@@ -240,9 +260,8 @@ def scipy_methods(
         One method for each integrator.
     """
     drivers: dict[str, tuple[str, Callable[[Field, Problem, float], PreparedRun]]] = {
-        "dop853": ("solve_ivp with DOP853", partial(by_solve_ivp, method="DOP853")),
-        "lsoda": ("solve_ivp with LSODA", partial(by_solve_ivp, method="LSODA")),
-        "ode-dop853": ("ode with Hairer's dop853", partial(by_ode, method="dop853")),
+        "dop853": ("solve_ivp with DOP853", by_solve_ivp),
+        "ode-dop853": ("ode with Hairer's dop853", by_ode),
         "odeint": ("odeint", by_odeint),
     }
 
@@ -307,14 +326,6 @@ def _planar_rate(root: Floats, v: Floats) -> Floats:
     return *across, c * x - s * y, s * x + c * y, w
 
 
-Tangent = Callable[[Array, Array], Array]
-Step = Callable[
-    [Array, Array], tuple[Array, Array]
-]  # functions (q, v) → increment of q in its tangent space, and new v
-State = tuple[Array, Array, Array]  # q, x, v
-Preparing = Callable[[Problem, float], PreparedRun]
-
-
 def aba_field(problem: Problem) -> Field:
     """Return the vector field of a problem, evaluated by pin.aba."""
     size, m = problem.system.group.size, problem.system.m
@@ -325,123 +336,4 @@ def aba_field(problem: Problem) -> Field:
     return Field(full_vector_field(problem.system), problem.full_start(), end)
 
 
-def _stepped(scheme: Callable[[Problem, float], Step], stages: int) -> Preparing:
-    """Return the `prepare` function of a method with fixed steps."""
-
-    def prepare(problem: Problem, fraction: float) -> PreparedRun:
-        count, model, r = steps_of(fraction), problem.system.model, problem.system.r
-        step = scheme(problem, problem.start.duration / count)
-        start = (problem.q0, problem.start.x, problem.v0)
-
-        def run() -> State:
-            q, x, v = start
-            with np.errstate(all="ignore"):  # overflow is detected in the final state
-                for _ in range(count):
-                    u, v = step(q, v)
-                    q, x = pin.integrate(model, q, u), x + u[r:]
-            return q, x, v
-
-        def end(state: State) -> End:
-            q, x, v = state
-            return End(x, q, v, float(stages * count))
-
-        return PreparedRun(run, end)
-
-    return prepare
-
-
-def _euler(problem: Problem, h: float) -> Step:
-    """Return the step of semi-implicit Euler, which updates q with the new velocity."""
-    model, data, tau = _workspace(problem)
-
-    def step(q: Array, v: Array) -> tuple[Array, Array]:
-        v = v + h * pin.aba(model, data, q, v, tau)
-        return h * v, v
-
-    return step
-
-
-def _rk4(problem: Problem, h: float, *, corrected: bool) -> Step:
-    """Return the step of the classical Runge–Kutta method on (q, v).
-
-    corrected: apply dexp⁻¹ (Munthe-Kaas). Without it, body velocities of different stages are
-    added although they refer to different frames, and the order drops to 2 if the base rotates.
-    """
-    model, data, tau = _workspace(problem)
-    correct = _correction(problem.system.group) if corrected else None
-    aba, integrate = pin.aba, pin.integrate
-
-    def step(q: Array, v: Array) -> tuple[Array, Array]:
-        a1 = aba(model, data, q, v, tau).copy()
-        k1 = v
-        u = 0.5 * h * k1
-        v2 = v + 0.5 * h * a1
-        a2 = aba(model, data, integrate(model, q, u), v2, tau).copy()
-        k2 = correct(u, v2) if correct else v2
-        u = 0.5 * h * k2
-        v3 = v + 0.5 * h * a2
-        a3 = aba(model, data, integrate(model, q, u), v3, tau).copy()
-        k3 = correct(u, v3) if correct else v3
-        u = h * k3
-        v4 = v + h * a3
-        a4 = aba(model, data, integrate(model, q, u), v4, tau)
-        k4 = correct(u, v4) if correct else v4
-        h6 = h / 6.0
-        return h6 * (k1 + 2.0 * (k2 + k3) + k4), v + h6 * (a1 + 2.0 * (a2 + a3) + a4)
-
-    return step
-
-
-def _workspace(problem: Problem) -> tuple[pin.Model, pin.Data, Array]:
-    model = problem.system.model
-    return model, model.createData(), np.zeros(model.nv)
-
-
-def _planar_bracket(a: Array, b: Array) -> Array:
-    bracket = np.zeros(len(a))
-    bracket[-3], bracket[-2] = b[-1] * a[-2] - a[-1] * b[-2], a[-1] * b[-3] - b[-1] * a[-3]
-    return bracket
-
-
-def _free_bracket(a: Array, b: Array) -> Array:
-    return np.asarray(pin.Motion(a).cross(pin.Motion(b)).vector)
-
-
-def _dexp_inverse(bracket: Callable[[Array, Array], Array], r: int) -> Tangent:
-    """Return (u, v) → du/dt, to fourth order in u, where q = q0 ⊕ u has velocity v.
-
-    Joint motions commute, so only the root (the first r entries) is corrected.
-    """
-
-    def correct(u: Array, v: Array) -> Array:
-        a, udot = u[:r], v.copy()
-        first = bracket(a, v[:r])
-        udot[:r] += 0.5 * first + bracket(a, first) / 12.0
-        return udot
-
-    return correct
-
-
-def _correction(group: Group) -> Tangent | None:
-    """Return dexp⁻¹ of a group, or None if its motions commute."""
-    if group.turns == 3:
-        return _dexp_inverse(_free_bracket if group.linear else np.cross, group.dim)
-    return _dexp_inverse(_planar_bracket, group.dim) if group.plane else None
-
-
-_STEPS = halvings(50, 14)
-
-ABA = (
-    *(
-        Solver(
-            f"aba-{name}", f"pin.aba and {text} in Python, equal steps", _STEPS,
-            _stepped(scheme, stages), fixed=True,
-        )
-        for name, text, scheme, stages in (
-            ("euler", "semi-implicit Euler", _euler, 1),
-            ("rk4", "classical RK4 with pin.integrate", partial(_rk4, corrected=False), 4),
-            ("rkmk4", "RK4 of Munthe-Kaas", partial(_rk4, corrected=True), 4),
-        )
-    ),
-    *scipy_methods("aba", "pin.aba", aba_field),
-)  # fmt: skip
+ABA = scipy_methods("aba", "pin.aba", aba_field)

@@ -8,12 +8,8 @@ operations with zeros of constant placements and inertias.
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
-import time
-from dataclasses import dataclass
-from pathlib import Path
+from contextlib import chdir
+from shutil import which
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -25,8 +21,9 @@ from ....common.arrays import Array
 from ....common.errors import IntegrationError, UnsupportedOperationError
 from ....lie.group import Group
 from ....system.system import System
-from ..problems import ATOL, End, PreparedRun, Problem, Solver, decades
-from .aba import missing_unless_equal, no_mass_matrix
+from ..problems import ATOL, UNKNOWN, End, PreparedRun, Problem, Solver, decades
+from ..timing import timed
+from .aba import PeerModel, missing_unless_equal
 from .heyoka import reduced_graph
 
 
@@ -141,61 +138,53 @@ def _root_rate(group: Group, root: ca.SX, v: ca.SX, rotation: ca.SX) -> ca.SX:
     return ca.vertcat(ca.mtimes(rotation, v[:3]), attitude) if k else attitude
 
 
-_FLAGS = ("-O2", "-march=native", "-ffp-contract=fast", "-fPIC", "-shared")
+# The C code is compiled when the Function is made.
+_COMPILED = {
+    "jit": True,
+    "compiler": "shell",
+    "jit_options": {"compiler": "gcc", "flags": ["-O2", "-march=native", "-ffp-contract=fast"]},
+}
 _MOST = 100_000_000  # largest number of steps
-_NO_COMPILER = "no C compiler; install gcc"
 
 
-@dataclass(frozen=True)
-class Compiled:
-    """A compiled CasADi Function; build time [s]; the temporary folder of its library."""
+def compiled(function: ca.Function) -> tuple[ca.Function, float]:
+    """Compile a Function with gcc.
 
-    function: ca.Function
-    build: float
-    folder: Any
-
-
-def compiled(function: ca.Function) -> Compiled:
-    """Compile a Function with gcc; raise UnsupportedOperationError without a C compiler."""
-    compiler = _compiler()
-    if compiler is None:
-        raise UnsupportedOperationError(_NO_COMPILER)
-    folder = TemporaryDirectory(prefix="pinred-cvodes-")
-    began, name, cwd = time.perf_counter(), function.name(), Path.cwd()
-    library = Path(folder.name, f"{name}.so")
-    try:
-        os.chdir(folder.name)  # the code generator can only write to the current folder
-        function.generate(f"{name}.c")
-        subprocess.run([compiler, *_FLAGS, f"{name}.c", "-o", library.name], check=True)
-    finally:
-        os.chdir(cwd)
-    # CVODES requires a Jacobian, although Adams with functional iteration never evaluates it.
-    return Compiled(
-        ca.external(name, str(library), {"enable_fd": True}), time.perf_counter() - began, folder
-    )
+    Args:
+        function: The Function.
+    Returns:
+        The compiled Function, and the build time [s].
+    Raises:
+        UnsupportedOperationError: gcc is not installed.
+    """
+    if missing := _missing_compiler():
+        raise UnsupportedOperationError(missing)
+    inputs = function.sx_in()
+    # CasADi writes the C code and the library to the current folder, and loads the library.
+    with TemporaryDirectory() as folder, chdir(folder):
+        return timed(lambda: ca.Function("compiled", inputs, [function(*inputs)], _COMPILED))
 
 
-def _compiler() -> str | None:
-    return shutil.which("gcc") or shutil.which("cc")
+def _missing_compiler() -> str:
+    return "" if which("gcc") else "no C compiler; install gcc"
 
 
-class FullModel:
+class FullModel(PeerModel):
     """The full dynamics in compiled C, in Pinocchio's coordinates."""
 
     def __init__(self, system: System) -> None:
         """Build and compile the graph."""
         self.system = system
-        self.compiled = compiled(full_graph(system))
+        self.function, self.build = compiled(full_graph(system))
 
     def mass_matrix(self, q: Array) -> Array:  # noqa: ARG002
         """Return NaN: the compiled code has no mass matrix."""
-        return no_mass_matrix(self.system)
+        return np.full((self.system.n, self.system.n), UNKNOWN)
 
     def acceleration(self, q: Array, v: Array) -> Array:
-        """Return Pinocchio's dv/dt without torques, (n,)."""
+        """Return dv/dt without torques, (n,)."""
         configuration = self.system.configuration(q)
-        y = np.concatenate([configuration.pose, configuration.x, v])
-        rate = self.compiled.function(y)
+        rate = self.function(np.concatenate([configuration.pose, configuration.x, v]))
         return np.array(rate).ravel()[-self.system.n :]
 
 
@@ -230,29 +219,29 @@ def _run(integrator: ca.Function, inputs: dict[str, Array]) -> Array:
 
 
 def _full(problem: Problem, tolerance: float) -> PreparedRun:
-    code, y0 = full_model(problem.system).compiled, problem.full_start()
+    model, y0 = full_model(problem.system), problem.full_start()
     size, m = problem.system.group.size, problem.system.m
-    integrator = _integrator(code.function, problem.start.duration, tolerance)
+    integrator = _integrator(model.function, problem.start.duration, tolerance)
 
     def end(y: Array) -> End:
         count = float(integrator.stats()["nfevals"])
         return End(y[size : size + m], problem.full.q(y), y[size + m :], count)
 
-    return PreparedRun(lambda: _run(integrator, {"x0": y0}), end, code.build)
+    return PreparedRun(lambda: _run(integrator, {"x0": y0}), end, model.build)
 
 
 def _reduced(problem: Problem, tolerance: float) -> PreparedRun:
     flow = problem.flow
-    code = problem.system.workspace(
+    function, build = problem.system.workspace(
         ("reduced C", problem.name), lambda: compiled(reduced_graph(problem))
     )
-    integrator = _integrator(code.function, problem.start.duration, tolerance)
+    integrator = _integrator(function, problem.start.duration, tolerance)
     inputs = {"x0": flow.y0, "p": flow.parameters}
 
     def end(y: Array) -> End:
         return problem.end(y, float(integrator.stats()["nfevals"]))
 
-    return PreparedRun(lambda: _run(integrator, inputs), end, code.build)
+    return PreparedRun(lambda: _run(integrator, inputs), end, build)
 
 
 CVODES = (
@@ -268,6 +257,6 @@ CVODES = (
         "the same on pinred's reduced equations, integration alone",
         decades(2, 13),
         _reduced,
-        lambda _: "" if _compiler() else f"CVODES is left out: {_NO_COMPILER}",
+        lambda _: (missing := _missing_compiler()) and f"CVODES is left out: {missing}",
     ),
 )

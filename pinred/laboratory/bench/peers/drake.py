@@ -1,4 +1,4 @@
-"""Drake on the same model: a continuous MultibodyPlant, integrated by RK3 and RK5."""
+"""Drake on the same model: a continuous MultibodyPlant, integrated by RK5."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import faulthandler
 import os
 import warnings
 from collections.abc import Callable, Mapping
-from functools import partial
 from importlib import import_module
 from types import MappingProxyType
 from typing import Any
@@ -15,10 +14,10 @@ import numpy as np
 import pinocchio as pin
 
 from ....common.arrays import Array
-from ....common.errors import IntegrationError
+from ....common.errors import IntegrationError, UnsupportedOperationError
 from ....system.system import System
 from ..problems import End, PreparedRun, Problem, Solver, decades
-from .aba import frame_rotation_term, missing_unless_equal, root_rotation
+from .aba import PeerModel, missing_unless_equal
 
 
 def check_in_child_process(run: Callable[[], object], who: str) -> None:
@@ -53,11 +52,11 @@ def check_in_child_process(run: Callable[[], object], who: str) -> None:
 _MAX_STEP = 0.1  # largest step [s], Drake's default
 
 
-class DrakeModel:
+class DrakeModel(PeerModel):
     """A MultibodyPlant of a system, and the conversion of coordinates.
 
-    A free base uses a quaternion. A spherical pivot uses roll, pitch and yaw, the only
-    representation in Drake. Velocities of the base are expressed in fixed axes.
+    The base must be a single joint of Drake's that has no singularity: free, with a quaternion,
+    planar, or with one axis.
     """
 
     def __init__(
@@ -73,9 +72,16 @@ class DrakeModel:
             step: Step of Drake's discrete solver [s]; 0 for a continuous plant.
             limits: Lower and upper stops of joints by name [rad | m], which only the discrete
                 solver respects.
+        Raises:
+            UnsupportedOperationError: The base is another joint than those of the class.
         """
         self.system = system
-        self._m = system.m
+        group = system.group
+        self._is_free = group.turns == 3 and bool(group.linear)
+        if not (self._is_free or group.dim == 1 or (bool(group.plane) and group.linear == 2)):
+            raise UnsupportedOperationError(
+                "its base must float, move in a plane, or have one axis"
+            )
         tree = import_module("pydrake.multibody.tree")
         math = import_module("pydrake.math")
         self.plant = import_module("pydrake.multibody.plant").MultibodyPlant(time_step=step)
@@ -91,8 +97,6 @@ class DrakeModel:
             offset = math.RigidTransform(rotation, placement.translation)
             frame = plant.AddFrame(tree.FixedOffsetFrame(f"frame{i}", parent, offset))
             S = np.array(data.joints[i].S).reshape(6, -1)
-            if i == 1 and not self._has_joint:
-                frame, S = self._add_slides(tree, frame, S)
             ends = (f"joint{i}", frame, body.body_frame())
             joint = plant.AddJoint(self._joint(tree, S, ends))
             if (name := str(model.names[i])) in limits:
@@ -106,7 +110,7 @@ class DrakeModel:
         self.context = plant.CreateDefaultContext()
         r, m = system.r, system.m
         # Indices of the root's and the shape's coordinates in Drake's q and v.
-        first = plant.GetJointByName("joint1" if self._has_joint else "slide0")
+        first = plant.GetJointByName("joint1")
         self._root_q, self._root_v = first.position_start(), first.velocity_start()
         self._root_nq = plant.num_positions() - m
         self._x = np.array([joint.position_start() for joint in joints[1:]], dtype=np.intp)
@@ -119,33 +123,13 @@ class DrakeModel:
             if S[:3].any():
                 return tree.PrismaticJoint(*ends, S[:3, 0])
             return tree.RevoluteJoint(*ends, S[3:, 0])
-        group = self.system.group
-        if group.turns == 3:
-            return (tree.QuaternionFloatingJoint if group.linear else tree.BallRpyJoint)(*ends)
-        return tree.PlanarJoint(*ends)
-
-    @property
-    def _has_joint(self) -> bool:
-        """Whether Drake has a single joint with the motion of the root."""
-        group = self.system.group
-        return group.dim == 1 or group.turns == 3 or (bool(group.plane) and group.linear == 2)
-
-    def _add_slides(self, tree: Any, frame: Any, S: Array) -> tuple[Any, Array]:
-        """Add a joint for each axis but the last; return the last child frame and the last axis."""
-        for k in range(S.shape[1] - 1):
-            link = self.plant.AddRigidBody(f"link{k}", tree.SpatialInertia.Zero())
-            ends = (f"slide{k}", frame, link.body_frame())
-            self.plant.AddJoint(self._joint(tree, S[:, k : k + 1], ends))
-            frame = link.body_frame()
-        return frame, S[:, -1:]
+        return (tree.QuaternionFloatingJoint if self._is_free else tree.PlanarJoint)(*ends)
 
     def positions(self, q: Array, x: Array) -> Array:
         """Convert Pinocchio's q and the unwrapped shape to Drake's positions."""
         pose, positions = self.system.configuration(q).pose, np.empty(self._size)
         if self._is_free:
             pose = np.concatenate([pose[6:], pose[3:6], pose[:3]])
-        elif self.system.group.is_pivot:
-            pose = pin.rpy.matrixToRpy(self.system.group.matrix(pose)[:3, :3])
         positions[self._root_q : self._root_q + self._root_nq] = pose
         positions[self._x] = x
         return positions
@@ -153,7 +137,7 @@ class DrakeModel:
     def velocities(self, q: Array, v: Array) -> Array:
         """Convert Pinocchio's v to Drake's velocities."""
         velocities = np.empty(self.system.n)
-        velocities[self._v] = self._turn(q) @ v
+        velocities[self._v] = self.turn(q) @ v
         return velocities
 
     def end(self, y: Array, rates: Array, evaluations: float) -> End:
@@ -162,48 +146,26 @@ class DrakeModel:
         if self._is_free:
             attitude = np.append(pose[1:4], pose[0])
             pose = np.concatenate([pose[4:], attitude / np.linalg.norm(attitude)])
-        elif self.system.group.is_pivot:
-            pose = pin.Quaternion(pin.rpy.rpyToMatrix(pose)).coeffs()
         x = y[self._x].copy()
         q = self.system.q(pose, x)
-        return End(x, q, self._turn(q).T @ rates[self._v], evaluations)
+        return End(x, q, self.turn(q).T @ rates[self._v], evaluations)
 
-    def mass_matrix(self, q: Array) -> Array:
-        """Return the mass matrix (n, n) with respect to Pinocchio's velocities."""
-        self.put(q, np.zeros(self.system.n), self.system.configuration(q).x)
-        H = self.plant.CalcMassMatrix(self.context)[np.ix_(self._v, self._v)]
-        T = self._turn(q)
-        return np.asarray(T.T @ H @ T)
+    def equations(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return Drake's mass matrix and accelerations without torques."""
+        plant, order = self.plant, self._v
+        plant.SetPositions(self.context, self.positions(q, self.system.configuration(q).x))
+        plant.SetVelocities(self.context, self.velocities(q, v))
+        rates = plant.EvalTimeDerivatives(self.context).get_generalized_velocity()
+        H = plant.CalcMassMatrix(self.context)[np.ix_(order, order)]
+        return H, rates.CopyToVector()[order]
 
-    def acceleration(self, q: Array, v: Array) -> Array:
-        """Return Pinocchio's dv/dt without torques, (n,)."""
-        self.put(q, v, self.system.configuration(q).x)
-        rates = self.plant.EvalTimeDerivatives(self.context)
-        a = self._turn(q).T @ rates.get_generalized_velocity().CopyToVector()[self._v]
-        a[: self.system.group.linear] -= frame_rotation_term(self.system, v)
-        return np.asarray(a)
-
-    def put(self, q: Array, v: Array, x: Array) -> None:
-        """Set the plant's state from Pinocchio's coordinates."""
-        self.plant.SetPositions(self.context, self.positions(q, x))
-        self.plant.SetVelocities(self.context, self.velocities(q, v))
-
-    def _turn(self, q: Array) -> Array:
-        """Return the orthogonal matrix (n, n) that maps Pinocchio's velocities to Drake's."""
-        system, T = self.system, np.eye(self.system.n)
-        k = system.group.linear
+    def turn(self, q: Array) -> Array:
+        """Return the matrix that maps Pinocchio's velocities to Drake's: first those of turns."""
+        T = super().turn(q)
         if self._is_free:
-            T[:6, :6] = 0.0
-            T[:3, 3:6] = T[3:6, :3] = root_rotation(system, q)
-        elif system.group.is_pivot:
-            T[:3, :3] = system.group.matrix(system.configuration(q).pose)
-        else:
-            T[:k, :k] = root_rotation(system, q)
+            T[:3, 3:6] = T[3:6, :3] = T[:3, :3]
+            T[:3, :3] = T[3:6, 3:6] = 0.0
         return T
-
-    @property
-    def _is_free(self) -> bool:
-        return self.system.group.turns == 3 and bool(self.system.group.linear)
 
 
 def _inertia(tree: Any, body: pin.Inertia) -> Any:
@@ -217,12 +179,12 @@ def drake_model(system: System) -> DrakeModel:
     return system.workspace("drake", lambda: DrakeModel(system))
 
 
-def _prepare(problem: Problem, tolerance: float, scheme: str) -> PreparedRun:
+def _prepare(problem: Problem, tolerance: float) -> PreparedRun:
     analysis = import_module("pydrake.systems.analysis")
     bridge, duration = drake_model(problem.system), problem.start.duration
     plant = bridge.plant
     simulator = analysis.Simulator(plant, plant.CreateDefaultContext())
-    integrator = analysis.ResetIntegratorFromFlags(simulator, scheme, _MAX_STEP)
+    integrator = analysis.ResetIntegratorFromFlags(simulator, "runge_kutta5", _MAX_STEP)
     integrator.set_target_accuracy(tolerance)
     context = simulator.get_mutable_context()
     q0 = bridge.positions(problem.q0, problem.start.x)
@@ -246,18 +208,12 @@ def _prepare(problem: Problem, tolerance: float, scheme: str) -> PreparedRun:
     return PreparedRun(run, lambda result: bridge.end(*result))
 
 
-_missing = missing_unless_equal("pydrake", "Drake", drake_model)
-
-DRAKE = tuple(
+DRAKE = (
     Solver(
-        f"drake-{name}",
-        f"Drake's MultibodyPlant under {text}, Simulator.AdvanceTo",
+        "drake-rk5",
+        "Drake's MultibodyPlant under RungeKutta5, Simulator.AdvanceTo",
         decades(2, 13),
-        partial(_prepare, scheme=scheme),
-        _missing,
-    )
-    for name, text, scheme in (
-        ("rk3", "RungeKutta3", "runge_kutta3"),
-        ("rk5", "RungeKutta5", "runge_kutta5"),
-    )
+        _prepare,
+        missing_unless_equal("pydrake", "Drake", drake_model),
+    ),
 )

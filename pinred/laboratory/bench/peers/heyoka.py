@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache, partial
 from importlib import import_module
 from importlib.util import find_spec
@@ -70,31 +70,6 @@ def taylor_expressions(function: ca.Function, parameters: Sequence[Any]) -> list
     ]
 
 
-def taylor_integrator(
-    function: ca.Function,
-    parameters: Sequence[float],
-    y0: Array,
-    tolerance: float,
-    *,
-    unrolled: bool,
-) -> Any:
-    """Return a `heyoka.taylor_adaptive` integrator with initial time 0.
-
-    Args:
-        function: Vector field (y, parameters) → dy/dt.
-        parameters: Values of the parameters.
-        y0: Initial state, (n,).
-        tolerance: Tolerance of the Taylor method.
-        unrolled: Unroll the code instead of heyoka's compact mode. It runs up to four times as
-            fast, but takes minutes to compile for a quadruped.
-    Returns:
-        The integrator.
-    """
-    hy = import_module("heyoka")
-    system = taylor_expressions(function, parameters)
-    return hy.taylor_adaptive(system, y0.tolist(), tol=tolerance, compact_mode=not unrolled)
-
-
 @cache
 def _operations() -> dict[int, Any]:
     """Return a mapping: CasADi operation code → function of numbers or heyoka expressions."""
@@ -126,8 +101,10 @@ MOST_UNROLLED = 300  # largest number of instructions that heyoka unrolls within
 def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> PreparedRun:
     flow, duration = problem.flow, problem.start.duration
     began = time.perf_counter()
-    ta = taylor_integrator(
-        reduced_graph(problem), flow.parameters.tolist(), flow.y0, tolerance, unrolled=unrolled
+    expressions = taylor_expressions(reduced_graph(problem), flow.parameters.tolist())
+    # Unrolled code runs up to four times as fast, but takes minutes to compile for a quadruped.
+    ta = import_module("heyoka").taylor_adaptive(
+        expressions, flow.y0.tolist(), tol=tolerance, compact_mode=not unrolled
     )
     build = time.perf_counter() - began
 
@@ -142,27 +119,13 @@ def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> PreparedR
     return PreparedRun(run, lambda steps: problem.end(np.array(ta.state), int(steps)), build)
 
 
-def _not_installed(_: Problem) -> str:
-    return "" if has_heyoka() else f"heyoka is left out: {INSTALL}"
-
-
-def _long_to_unroll(problem: Problem) -> str:
-    if has_heyoka() and (size := reduced_graph(problem).n_instructions()) > MOST_UNROLLED:
-        return (
-            f"heyoka-unrolled is left out: compiling {size} instructions takes minutes; "
-            "--full includes it"
-        )
-    return _not_installed(problem)
-
-
-def _unrolled(missing: Callable[[Problem], str]) -> Solver:
-    return Solver(
-        "heyoka-unrolled",
-        "the same without compact mode",
-        decades(2, 14, 3),
-        partial(_prepare, unrolled=True),
-        missing,
-    )
+def _missing(problem: Problem, unrolled: str = "") -> str:
+    """Return why heyoka, or its method with unrolled code of this name, is left out."""
+    if not has_heyoka():
+        return f"heyoka is left out: {INSTALL}"
+    if unrolled and reduced_graph(problem).n_instructions() > MOST_UNROLLED:
+        return f"{unrolled} is left out: it takes minutes to compile"
+    return ""
 
 
 HEYOKA = (
@@ -171,11 +134,16 @@ HEYOKA = (
         "Taylor, propagation alone, pinred's reduced equations in compact mode",
         decades(2, 15, 2),
         partial(_prepare, unrolled=False),
-        _not_installed,
+        _missing,
     ),
-    _unrolled(_long_to_unroll),
+    Solver(
+        "heyoka-unrolled",
+        "the same without compact mode",
+        decades(2, 14, 3),
+        partial(_prepare, unrolled=True),
+        partial(_missing, unrolled="heyoka-unrolled"),
+    ),
 )
-HEYOKA_SLOW = (HEYOKA[0], _unrolled(_not_installed))
 
 
 _BATCH_TOLERANCES = decades(7, 14)
@@ -211,17 +179,19 @@ def _prepare_batch(members: Sequence[Problem], tolerance: float, *, unrolled: bo
     return PreparedRun(run, lambda y, member: members[member].end(y[member]))
 
 
-def _long_to_unroll_batch(problem: Problem) -> str:
-    if has_heyoka() and reduced_graph(problem).n_instructions() > MOST_UNROLLED:
-        return "heyoka-batch-unrolled is left out: it takes minutes to compile"
-    return _not_installed(problem)
-
-
-def _batch(name: str, about: str, missing: Callable[[Problem], str], **how: Any) -> Solver:
-    return Solver(name, about, _BATCH_TOLERANCES, partial(_prepare_batch, **how), missing)
-
-
 HEYOKA_BATCH = (
-    _batch("heyoka-batch", "Taylor in batch mode, compact", _not_installed, unrolled=False),
-    _batch("heyoka-batch-unrolled", "the same, unrolled", _long_to_unroll_batch, unrolled=True),
+    Solver(
+        "heyoka-batch",
+        "Taylor in batch mode, compact",
+        _BATCH_TOLERANCES,
+        partial(_prepare_batch, unrolled=False),
+        _missing,
+    ),
+    Solver(
+        "heyoka-batch-unrolled",
+        "the same, unrolled",
+        _BATCH_TOLERANCES,
+        partial(_prepare_batch, unrolled=True),
+        partial(_missing, unrolled="heyoka-batch-unrolled"),
+    ),
 )

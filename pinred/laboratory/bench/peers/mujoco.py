@@ -15,10 +15,10 @@ from ....common.errors import UnsupportedOperationError
 from ....lie.group import Group
 from ....system.system import System
 from ..problems import End, PreparedRun, Problem, Solver, halvings, steps_of
-from .aba import Field, frame_rotation_term, missing_unless_equal, root_rotation, scipy_methods
+from .aba import Field, PeerModel, missing_unless_equal, scipy_methods
 
 
-class MujocoModel:
+class MujocoModel(PeerModel):
     """A MuJoCo model of a system, built body by body, and the conversion of coordinates.
 
     Raises UnsupportedOperationError for a free base with a placement other than the identity.
@@ -102,7 +102,7 @@ class MujocoModel:
 
     def qvel(self, q: Array, v: Array) -> Array:
         """Convert Pinocchio's v to MuJoCo's velocities."""
-        return np.asarray(self._turn(q) @ v)
+        return np.asarray(self.turn(q) @ v)
 
     def end(self, qpos: Array, qvel: Array, evaluations: float) -> End:
         """Convert a final state to Pinocchio's coordinates."""
@@ -110,36 +110,16 @@ class MujocoModel:
         if self._has_quaternion:
             pose[-4:] = np.append(pose[-3:], pose[-4]) / np.linalg.norm(pose[-4:])
         q = self.system.q(pose, x)
-        return End(x, q, self._turn(q).T @ qvel, evaluations)
+        return End(x, q, self.turn(q).T @ qvel, evaluations)
 
-    def mass_matrix(self, q: Array) -> Array:
-        """Return the mass matrix (n, n) with respect to Pinocchio's velocities."""
-        n, T = self.system.n, self._turn(q)
-        self._put(q, np.zeros(n))
-        H = np.empty((n, n))
-        self.mj.mj_fullM(self.model, self.data, H)
-        return np.asarray(T.T @ H @ T)
-
-    def acceleration(self, q: Array, v: Array) -> Array:
-        """Return Pinocchio's dv/dt without torques, (n,)."""
-        self._put(q, v)
-        a = self._turn(q).T @ self.data.qacc
-        a[: self.system.group.linear] -= frame_rotation_term(self.system, v)
-        return np.asarray(a)
-
-    def _put(self, q: Array, v: Array) -> None:
+    def equations(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return MuJoCo's mass matrix and accelerations without torques."""
         self.data.qpos[:] = self.qpos(q, self.system.configuration(q).x)
         self.data.qvel[:] = self.qvel(q, v)
         self.mj.mj_forward(self.model, self.data)
-
-    def _turn(self, q: Array) -> Array:
-        """Return the orthogonal matrix (n, n) that maps Pinocchio's velocities to MuJoCo's.
-
-        MuJoCo expresses the linear velocity in the parent's axes.
-        """
-        T, k = np.eye(self.system.n), self.system.group.linear
-        T[:k, :k] = root_rotation(self.system, q)
-        return T
+        H = np.empty((self.system.n, self.system.n))
+        self.mj.mj_fullM(self.model, self.data, H)
+        return H, self.data.qacc
 
 
 def _wxyz(rotation: Array) -> Array:

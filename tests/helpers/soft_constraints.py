@@ -1,4 +1,6 @@
-"""Closed loops and joint stops in MuJoCo and Drake, where they are soft, and in pinred.
+"""Measure soft constraints: `python tests/helpers/soft_constraints.py loops`, or `stops`.
+
+Closed loops and joint stops in MuJoCo and Drake, where they are soft, are compared with pinred's.
 
 MuJoCo's constraints are springs and dampers with a time constant (`solref`) of at least two steps,
 and with an impedance d below one (`solimp`): a fraction 1 − d of the force that violates a
@@ -10,6 +12,7 @@ impact, so errors are of first order in the step, down to the rebound that dampi
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,20 +25,19 @@ from typing import Any, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
-from ...common.waiting import Progress, one_by_one, quiet, shown
-from ...scene.scene import Scene
-from ...simulation.simulate import simulate
-from ...simulation.trajectory import Trajectory
-from ...system.load import load
-from ...system.loops.kinematics import LoopKinematics, loop_ends
-from ...system.loops.loop import Loop
-from ...system.system import System
-from .peers.drake import DrakeModel
-from .peers.mujoco import MujocoModel
-from .problems import End
-from .timing import Table, alternating, repeated
+from pinred.common.arrays import Array
+from pinred.common.waiting import Progress, one_by_one, quiet, shown
+from pinred.laboratory.bench.peers.drake import DrakeModel
+from pinred.laboratory.bench.peers.mujoco import MujocoModel
+from pinred.laboratory.bench.problems import End
+from pinred.laboratory.bench.timing import Table, alternating, repeated
+from pinred.scene.scene import Scene
+from pinred.simulation.simulate import simulate
+from pinred.simulation.trajectory import Trajectory
+from pinred.system.load import load
+from pinred.system.loops.kinematics import LoopKinematics, loop_ends
+from pinred.system.loops.loop import Loop
+from pinred.system.system import System
 
 TOLERANCES = (1e-6, 1e-10)  # of pinred; times are relative to the last one
 _STIFFEST = (0.9999, 0.9999, 0.001)  # largest impedance that MuJoCo accepts
@@ -195,21 +197,18 @@ LOOP_SETTINGS = (
 )
 
 
-@checks_arguments
-def bench_loops(*, progress: Progress | bool | None = None) -> list[Table]:
+def measure_loops() -> list[Table]:
     """Measure the gaps of MuJoCo's soft loops, and what small gaps cost, on each robot in LOOPED.
 
-    Args:
-        progress: True for a progress bar, or a function of the completed fraction.
     Returns:
         A table for each robot, with a row for each method: the largest gap of a loop during the
         motion [m], the largest error of a joint at the end [rad | m], the relative change of the
         kinetic energy, and the CPU time, also relative to that of pinred at its last tolerance.
     """
-    return one_by_one(list(LOOPED), _bench_loop, progress, "loops")
+    return one_by_one(list(LOOPED), _measure_loop, True, "loops")
 
 
-def _bench_loop(name: str) -> Table:
+def _measure_loop(name: str) -> Table:
     system = load(name, gravity=(0.0, 0.0, 0.0))
     scene = Scene(system=system, duration=LOOP_DURATION)
     exact = simulate(scene, rtol=1e-13, atol=1e-15)
@@ -261,14 +260,11 @@ STOP_SETTINGS = (
 DRAKE = (1e-3, 1e-4, 1e-5)  # steps of Drake's discrete solver [s]
 
 
-@checks_arguments
-def bench_stops(*, progress: Progress | bool | None = None) -> Table:
+def measure_stops() -> Table:
     """Measure errors and times of joint stops in pinred, MuJoCo and Drake on one scene.
 
     The exact motion is that of pinred at a relative tolerance of 1e-13, which `compare` judges.
 
-    Args:
-        progress: True for a progress bar, or a function of the completed fraction.
     Returns:
         A row for each method: the largest distance of a joint beyond its stop during the motion
         [rad | m], the largest error of a joint at the end, the relative change of the angular
@@ -297,7 +293,7 @@ def bench_stops(*, progress: Progress | bool | None = None) -> Table:
         """Return the angular momentum about the centre of mass in world axes, (3,)."""
         return np.array(pin.computeCentroidalMomentum(system.model, system.data, q, v).angular)
 
-    with shown(progress, "stops") as bar:
+    with shown(True, "stops") as bar:
         measures = ("beyond", beyond), ("momentum", angular_momentum)
         rows = _compare(trials, exact, *measures, bar or quiet)
     impacts = len(exact.impacts.times)
@@ -346,3 +342,8 @@ def _by_drake(system: System, start: Start, step: float) -> _Trial:
         return states
 
     return _Trial(f"Drake's discrete solver (SAP), step {step:g} s", lambda: looks(1)[0], looks)
+
+
+if __name__ == "__main__":
+    tables = [measure_stops()] if sys.argv[1:] == ["stops"] else measure_loops()
+    print("\n\n".join(map(str, tables)))
