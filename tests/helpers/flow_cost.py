@@ -19,7 +19,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.common.waiting import one_by_one
 from pinred.integrators.integrate import Integration
-from pinred.kernels.evaluate import repeat, repeat_adjoint
+from pinred.kernels.kernel import repeat, repeat_adjoint
 from pinred.laboratory.bench.timing import Table, alternating, repeated, robots_to_measure
 from pinred.simulation.flow_map.flow import Flow
 

@@ -3,31 +3,29 @@
 from __future__ import annotations
 
 import os
-import casadi as ca
-import numpy as np
-import pytest
-import pinred
 from dataclasses import replace
 from functools import cache
 from importlib.util import find_spec
+
+import casadi as ca
+import numpy as np
+import pytest
 from trees import random_model
-from pinred.common.errors import IntegrationError
-from pinred.common.errors import UnsupportedOperationError
-from pinred.common.errors import install_command
-from pinred.judge.reference_solution import FullMotion
-from pinred.judge.reference_solution import FullState
+
+import pinred
+from pinred.common.errors import IntegrationError, UnsupportedOperationError, install_command
+from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.kernels.kernel import Structure
 from pinred.kernels.reduced_graph import ReducedGraph
-from pinred.laboratory.bench import SOLVERS
-from pinred.laboratory.bench import Problem
-from pinred.laboratory.bench import reference_of
-from pinred.laboratory.bench.peers.aba import EQUAL
-from pinred.laboratory.bench.peers.aba import equality
-from pinred.laboratory.bench.peers.aba import full_vector_field
-from pinred.laboratory.bench.peers.aba import missing_unless_equal
+from pinred.laboratory.bench import SOLVERS, Problem, reference_of
+from pinred.laboratory.bench.peers.aba import (
+    EQUAL,
+    equality,
+    full_vector_field,
+    missing_unless_equal,
+)
 from pinred.laboratory.bench.peers.cvodes import full_graph
-from pinred.laboratory.bench.peers.drake import DrakeModel
-from pinred.laboratory.bench.peers.drake import check_in_child_process
+from pinred.laboratory.bench.peers.drake import DrakeModel, check_in_child_process
 from pinred.laboratory.bench.peers.mujoco import MujocoModel
 from pinred.laboratory.bench.problems import Solver
 from pinred.lie import GROUPS

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import time
-import numpy as np
-from collections.abc import Callable
-from collections.abc import Iterable
-from collections.abc import Mapping
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Any
-from typing import TypeAlias
-from typing import TypeVar
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
-from ...common.waiting import Progress
-from ...common.waiting import quiet
-from ...kernels.kernel import repeat
+from ...common.waiting import Progress, quiet
 from ...system.robot_files import has_example_robots
 
 T = TypeVar("T")

@@ -13,43 +13,36 @@ from __future__ import annotations
 import math
 import time
 import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
 import numpy as np
 import pinocchio as pin
-from collections.abc import Iterable
-from collections.abc import Mapping
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
-from typing import Literal
-from typing import TypeAlias
+
 from ...common.arrays import Array
-from ...common.errors import ChoiceError
-from ...common.errors import IntegrationError
-from ...common.errors import LoadError
-from ...common.errors import MissingPackageError
-from ...common.errors import ModelError
-from ...common.errors import PinredError
-from ...common.errors import SymmetryError
-from ...common.errors import optional_package
+from ...common.errors import (
+    ChoiceError,
+    IntegrationError,
+    LoadError,
+    MissingPackageError,
+    ModelError,
+    PinredError,
+    SymmetryError,
+    optional_package,
+)
 from ...judge.compare import compare
-from ...judge.verdict import Report
-from ...judge.verdict import Verdict
+from ...judge.verdict import Report, Verdict
 from ...reduction.pointwise_reduction import symmetric
 from ...simulation.simulate import simulate
 from ...system.independent_reader import second_reading
 from ...system.load import load
-from ...system.mjcf.compile import compiled
-from ...system.mjcf.compile import mujoco_package
-from ...system.mjcf.compile import warnings_kept
+from ...system.mjcf.compile import compiled, mujoco_package, warnings_kept
 from ...system.mjcf.read import gravity_of
 from ...system.mjcf.world import robot_in
 from ...system.read_sdf import drake_warnings
-from ...system.robot_files import EVERYTHING
-from ...system.robot_files import library_output
-from ...system.robot_files import read_text
-from ...system.robot_files import read_xml
+from ...system.robot_files import EVERYTHING, library_output, read_text, read_xml
 from ...system.system import System
 
 Kind: TypeAlias = Literal["urdf", "mjcf", "sdf", "name"]

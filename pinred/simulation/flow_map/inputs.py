@@ -33,10 +33,9 @@ from ...common.parameter import VectorParameter, by_name, refuse_entry
 from ...forces.force_model import ForceModel
 from ...forces.force_numbers import Tables
 from ...kernels.build import expect_code
-from ...kernels.kernel import evaluate
 from ...kernels.flow_functions import initial_conditions_of
 from ...kernels.initial_conditions import TwistOrMomentum
-from ...kernels.kernel import Kernel, call_value
+from ...kernels.kernel import Kernel, call_value, evaluate
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers
