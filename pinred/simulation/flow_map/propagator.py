@@ -36,7 +36,7 @@ from ..compiled.integrator import explained, wild_steps
 from ..members.integrate_members import integrate_members
 from ..members.trajectories import Batch
 from ..plan import Plan, Span, spans_between
-from .flow_run import InitialMap, OutcomeAdjoint, Run, resolve_run
+from .flow_run import OutcomeAdjoint, Run, resolve_run
 from .inputs import Given, InitialMap, motion_of
 from .jumps import jumps_of
 
