@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from concurrent.futures import ThreadPoolExecutor
 
@@ -18,6 +19,7 @@ from pinred.common.errors import InputError, UnsupportedOperationError
 from pinred.common.machine_code import cpu_target, load_object
 from pinred.kernels.machine import lowering, native
 from pinred.kernels.machine.native import compile_object
+from pinred.reduction.tree.identical_branches import Lanes
 
 INF, NAN = np.inf, np.nan
 SPECIAL = [
@@ -433,6 +435,37 @@ def test_divided_code_computes_the_same(
     found = call(points.ravel()).reshape(6, wide)
     for lane in range(wide):
         assert ulps(found[:, lane], reference(function, points[:, lane])).max() <= 4.0
+
+
+@pytest.mark.parametrize("part", [0, 1])
+def test_functions_align_the_vectors_that_they_spill(
+    part: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The stack of all functions is aligned to cache lines, also in divided code."""
+    x = ca.SX.sym("x", 3)
+    function = ca.Function("f", [x], [ca.sin(x) * ca.cos(x)])
+    monkeypatch.setattr(native, "LONG", 0 if part else 8000)
+    monkeypatch.setattr(native, "PART", part)
+    text = native.lowered(lambda: compile_object(function, "f", wide=8))
+    functions = re.findall(r"^define .*@f[.(].*$", text, re.MULTILINE)
+    assert len(functions) > part
+    assert all("alignstack(64)" in line for line in functions)
+
+
+def test_loads_and_packs_are_written_at_their_first_uses() -> None:
+    """Numbers that only a later stage needs are not alive during the sines before it."""
+    x, p = ca.SX.sym("x"), ca.SX.sym("p", 2)
+    lanes = Lanes()
+    packed = lanes.pack([p[0], p[1]])
+    product = packed * lanes.pack([ca.sin(x), ca.cos(x)])
+    function = lanes.function("f", [x, p], lanes.sum(product, 2))
+    text = native.lowered(lambda: compile_object(function, "f", lanes.marks["f"]))
+    lines = text.split("define void @f(")[1].splitlines()
+    (sines,) = (k for k, line in enumerate(lines) if "call {double, double}" in line)
+    (first,) = (k for k, line in enumerate(lines) if "ptr %in0" in line and "getelement" in line)
+    others = [k for k, line in enumerate(lines) if "ptr %in1" in line and "getelement" in line]
+    assert first < sines < min(others)
+    assert len(others) == 2
 
 
 def test_short_code_is_one_function() -> None:

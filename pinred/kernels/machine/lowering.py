@@ -117,6 +117,9 @@ _LIBM_SINCOS = [f"declare double @{name}(double) {PURE}" for name in ("sin", "co
 _ONE = constant(1.0)
 _UNLIKELY = '!0 = !{!"branch_weights", i32 100000, i32 1}'
 _VALUE = re.compile(r"%[\w.]+")
+_DEFERRED = ("getelementptr", "load", "insertelement", "shufflevector")
+# Without alignment, half of the vectors that are spilled to the stack cross a cache line.
+_ATTRIBUTES = "nounwind alignstack(64)"
 _OPERATION = f" {FLAGS} "  # lines of arithmetic contain it
 
 
@@ -434,6 +437,7 @@ def lower(
             )
         value[function.instruction_output(k)[0]] = new
     lines, widths = low.writer.body()
+    lines = _defer(lines)
     widths |= {low.width[angle] for angle in low.both}
     pointers = [*(f"ptr noalias readonly %in{k}" for k in range(inputs)), "ptr noalias %out"]
     parts, lines = _divide(lines, part, low.width, name, pointers) if part else ([], lines)
@@ -444,12 +448,39 @@ def lower(
             *_LIBM_SINCOS,
             _UNLIKELY,
             *parts,
-            f"define void @{name}({', '.join(pointers)}) nounwind {{",
+            f"define void @{name}({', '.join(pointers)}) {_ATTRIBUTES} {{",
             *lines,
             "ret void",
             "}",
         ]
     )
+
+
+def _defer(lines: list[str]) -> list[str]:
+    """Move loads and packs of numbers to their first uses, so that fewer numbers are alive.
+
+    LLVM does not move them across the branches of sines and cosines, but stores them until then.
+
+    Args:
+        lines: Lines of IR without branches.
+    Returns:
+        The lines in their new order.
+    """
+    deferred, ordered = dict[str, str](), list[str]()
+
+    def emit(line: str) -> None:
+        for value in _VALUE.findall(line):
+            if value in deferred:
+                emit(deferred.pop(value))
+        ordered.append(line)
+
+    for line in lines:
+        name, _, operation = line.partition(" = ")
+        if operation.startswith(_DEFERRED):
+            deferred[name] = line
+        else:
+            emit(line)
+    return ordered
 
 
 def _divide(
@@ -497,7 +528,9 @@ def _divide(
     functions: list[str] = []
     parameters = ", ".join([*pointers, "ptr noalias %work"])
     for k, code in enumerate(parts):
-        functions.append(f"define internal void @{name}.{k}({parameters}) noinline nounwind {{")
+        functions.append(
+            f"define internal void @{name}.{k}({parameters}) noinline {_ATTRIBUTES} {{"
+        )
         loaded = set()
         for line, values in code:
             for value in values:
