@@ -1,7 +1,8 @@
 """A stand-in for `cuda.bindings.driver`: memory and threads of devices are those of the CPU.
 
 Its modules are LLVM IR instead of PTX.  The IR is compiled for the CPU without changes, except that
-the numbers of a thread and its block come from the stand-in.  Threads run one after another.  What
+the numbers of a thread and its block come from the stand-in.  Threads run one after another; those of
+a warp that exchange numbers run in turn, each on its own stack, from one exchange to the next.  What
 is put into a stream waits there until the stream is synchronised, so results that are read too
 early, or inputs that change too early, are wrong.
 """
@@ -32,6 +33,9 @@ from pinred.kernels.device.device_code import device_ir, outputs_ir
 from pinred.kernels.kernel import Kernel
 
 _NUMBERS = {name: ctypes.c_int32() for name in ("tid", "ctaid", "ntid")}  # of the current thread
+_WARP = 32  # threads
+# Bytes of the stack of a thread, and of the C library's context and place in a function.
+_STACK, _CONTEXT, _PLACE = 2**18, 2**12, 2**9
 
 
 def _plain(operation: str, kinds: str, kind: str = "double") -> tuple[str, list[str], str]:
@@ -89,6 +93,167 @@ ret double %value
 """
 
 
+class _Warp:
+    """Threads that exchange numbers: contexts of the C library, which continue one another.
+
+    A thread stores its number, continues the next thread of the mask, and reads the numbers of
+    others when its turn comes again.  Exchanges of even and odd numbers have different memory, since
+    the threads before it have already stored their next numbers.
+    """
+
+    def __init__(self) -> None:
+        self.library = ctypes.CDLL(None)
+        self.contexts = np.zeros((_WARP + 1, _CONTEXT), np.uint8)  # the last is that of the launch
+        self.places = np.zeros((_WARP, _PLACE), np.uint8)
+        self.stacks = np.zeros((_WARP + 1, _STACK), np.uint8)
+        self.numbers = np.zeros((2, _WARP), np.int32)
+        self.exchanges = np.zeros(_WARP, np.int64)
+        self.ended = np.zeros(_WARP, np.int64)
+        self.mixed = np.zeros(1, np.int64)  # whether a thread read a number of another exchange
+        self.arguments = np.zeros(32, np.int64)
+
+    def run(self, start: int, arguments: list[int], first: int, count: int) -> None:
+        """Run threads first … first + count − 1 of a block."""
+        self.exchanges[:], self.ended[:], self.mixed[:] = 0, 0, 0
+        self.arguments[: len(arguments)] = arguments
+        for k in range(count):
+            self._prepare(k, start)
+        for k in range(count):
+            if self.ended[k]:
+                continue
+            _NUMBERS["tid"].value = first + k
+            if self.exchanges[k]:  # it continues, after another thread of its group has ended
+                self._prepare(k, start)
+            self.library.swapcontext(self._context(_WARP), self._context(k))
+            assert self.ended[k], f"thread {k} waits for others"
+        assert not self.mixed[0], "threads of a group made different exchanges"
+
+    def _context(self, k: int) -> ctypes.c_void_p:
+        return ctypes.c_void_p(self.contexts[k].ctypes.data)
+
+    def _prepare(self, k: int, address: int) -> None:
+        """Let a context begin with a function."""
+        assert self.library.getcontext(self._context(k)) == 0
+        # The fields after flags: the context that follows; address, flags and size of the stack.
+        stack = self.stacks[k] if not self.exchanges[k] else self.stacks[_WARP]
+        fields = self.contexts[k, 8:40].view(np.int64)
+        fields[:] = self._context(_WARP).value, stack.ctypes.data, 0, _STACK
+        self.library.makecontext(self._context(k), ctypes.c_void_p(address), 0)
+
+    def code(self, entry: str, parameters: int) -> str:
+        """Return the IR of the first function of each thread, and of exchanges."""
+        at = {
+            name: f"inttoptr (i64 {getattr(self, name).ctypes.data} to ptr)"
+            for name in ("contexts", "places", "numbers", "exchanges", "ended", "mixed", "arguments")
+        }
+        tid = f"inttoptr (i64 {ctypes.addressof(_NUMBERS['tid'])} to ptr)"
+        loads = "\n".join(
+            f"%p{k} = getelementptr i64, ptr {at['arguments']}, i64 {k}\n%a{k} = load i64, ptr %p{k}"
+            for k in range(parameters)
+        )
+        kinds = _kinds_of(entry)
+        values = [f"i64 %a{k}" if kind == "i64" else f"ptr %q{k}" for k, kind in enumerate(kinds)]
+        casts = "\n".join(
+            f"%q{k} = inttoptr i64 %a{k} to ptr" for k, kind in enumerate(kinds) if kind == "ptr"
+        )
+        name = re.findall(r"@(\w+)\(", entry)[0]
+        return f"""
+declare i32 @setcontext(ptr)
+declare i32 @_setjmp(ptr) returns_twice
+declare void @_longjmp(ptr, i32) noreturn
+define void @host.thread() {{
+%tid = load volatile i32, ptr {tid}
+%lane = and i32 %tid, {_WARP - 1}
+%begun.at = getelementptr i64, ptr {at['exchanges']}, i32 %lane
+%begun = load volatile i64, ptr %begun.at
+%isnew = icmp eq i64 %begun, 0
+br i1 %isnew, label %start, label %continue
+continue:
+%place = getelementptr [{_PLACE} x i8], ptr {at['places']}, i32 %lane
+call void @_longjmp(ptr %place, i32 1)
+unreachable
+start:
+{loads}
+{casts}
+call void @{name}({', '.join(values)})
+%ended = getelementptr i64, ptr {at['ended']}, i32 %lane
+store i64 1, ptr %ended
+ret void
+}}
+define i32 @host.exchange(i32 %mask, i32 %number, i32 %source) noinline {{
+%tid = load volatile i32, ptr {tid}
+%lane = and i32 %tid, {_WARP - 1}
+%count.at = getelementptr i64, ptr {at['exchanges']}, i32 %lane
+%before = load volatile i64, ptr %count.at
+%count = add i64 %before, 1
+store volatile i64 %count, ptr %count.at
+%parity = and i64 %count, 1
+%own = getelementptr [{_WARP} x i32], ptr {at['numbers']}, i64 %parity, i32 %lane
+store volatile i32 %number, ptr %own
+%until = shl i32 -2, %lane
+%after = and i32 %mask, %until
+%islast = icmp eq i32 %after, 0
+%left = select i1 %islast, i32 %mask, i32 %after
+%next = call i32 @llvm.cttz.i32(i32 %left, i1 true)
+%change = sub i32 %next, %lane
+%next.tid = add i32 %tid, %change
+store volatile i32 %next.tid, ptr {tid}
+%place = getelementptr [{_PLACE} x i8], ptr {at['places']}, i32 %lane
+%returned = call i32 @_setjmp(ptr %place)
+%isleaving = icmp eq i32 %returned, 0
+br i1 %isleaving, label %leave, label %back
+leave:
+%begun.at = getelementptr i64, ptr {at['exchanges']}, i32 %next
+%begun = load volatile i64, ptr %begun.at
+%isnew = icmp eq i64 %begun, 0
+br i1 %isnew, label %start, label %continue
+start:
+%context = getelementptr [{_CONTEXT} x i8], ptr {at['contexts']}, i32 %next
+%status = call i32 @setcontext(ptr %context)
+unreachable
+continue:
+%other.place = getelementptr [{_PLACE} x i8], ptr {at['places']}, i32 %next
+call void @_longjmp(ptr %other.place, i32 1)
+unreachable
+back:
+store volatile i32 %tid, ptr {tid}
+%other.at = getelementptr i64, ptr {at['exchanges']}, i32 %source
+%other = load volatile i64, ptr %other.at
+%ahead = sub i64 %other, %count
+%ismixed = icmp ugt i64 %ahead, 1
+%mixed = load volatile i64, ptr {at['mixed']}
+%also = zext i1 %ismixed to i64
+%any = or i64 %mixed, %also
+store volatile i64 %any, ptr {at['mixed']}
+%result.at = getelementptr [{_WARP} x i32], ptr {at['numbers']}, i64 %parity, i32 %source
+%result = load volatile i32, ptr %result.at
+ret i32 %result
+}}
+declare i32 @llvm.cttz.i32(i32, i1)
+define i32 @host.bfly(i32 %mask, i32 %number, i32 %step, i32 %segment) {{
+%tid = load volatile i32, ptr {tid}
+%lane = and i32 %tid, {_WARP - 1}
+%source = xor i32 %lane, %step
+%value = call i32 @host.exchange(i32 %mask, i32 %number, i32 %source)
+ret i32 %value
+}}
+define i32 @host.idx(i32 %mask, i32 %number, i32 %index, i32 %segment) {{
+%tid = load volatile i32, ptr {tid}
+%lane = and i32 %tid, {_WARP - 1}
+%bits = lshr i32 %segment, 8
+%first = and i32 %lane, %bits
+%source = or i32 %first, %index
+%value = call i32 @host.exchange(i32 %mask, i32 %number, i32 %source)
+ret i32 %value
+}}
+"""
+
+
+def _kinds_of(entry: str) -> list[str]:
+    """Return the types of the parameters in the definition of a function."""
+    return [parameter.split()[0] for parameter in entry[entry.index("(") + 1 :].split(",")]
+
+
 class _Status(IntEnum):
     """Some of the statuses of the driver."""
 
@@ -115,7 +280,8 @@ class _HostDriver(ModuleType):
         contexts: The stack of current contexts.
         launched: Context and number of members of each launch.
         ended: Number of launches whose threads have ended.
-        modules: Code, and its number of parameters, by context and address.
+        modules: Code, its warp if threads exchange numbers, and its number of parameters, by
+            context and address.
         streams: What waits in each stream.
         copied: Sizes of all copies to devices, and from there [bytes].
     """
@@ -130,7 +296,7 @@ class _HostDriver(ModuleType):
         self.contexts: list[str] = []
         self.launched: list[tuple[str, int]] = []
         self.ended = 0
-        self.modules: dict[tuple[str, int], tuple[NativeCode, int]] = {}
+        self.modules: dict[tuple[str, int], tuple[NativeCode, _Warp | None, int]] = {}
         self.streams: dict[int, list[Callable[[], object]]] = {}
         self.copied = [0, 0]
         self._numbers = count(1)
@@ -183,10 +349,10 @@ class _HostDriver(ModuleType):
         assert image.endswith(b"\0")
         text = image[:-1].decode()
         (name, parameters) = re.findall(r"ptx_kernel void @(\w+)\(([^)]*)\)", text)[0]
-        code = _compile(text, name)
+        code, warp = _compile(text, name)
         module = self.contexts[-1], code.address
         # All parameters have 8 bytes.
-        self.modules[module] = code, parameters.count(",") + 1
+        self.modules[module] = code, warp, parameters.count(",") + 1
         return _Status.CUDA_SUCCESS, module
 
     def cuModuleUnload(self, module: tuple[str, int]) -> tuple[_Status]:
@@ -198,7 +364,8 @@ class _HostDriver(ModuleType):
         self, module: tuple[str, int], name: bytes
     ) -> tuple[_Status, tuple[str, int]]:
         assert module[0] == self.contexts[-1]
-        assert self.modules[module][0].name == name.decode()
+        code, warp, _ = self.modules[module]
+        assert code.name == (name.decode() if warp is None else "host.thread")
         return _Status.CUDA_SUCCESS, module
 
     def cuMemGetInfo(self) -> tuple[_Status, int, int]:
@@ -242,7 +409,7 @@ class _HostDriver(ModuleType):
         (blocks, *grid), (threads, *block) = shape[:3], shape[3:]
         assert (*grid, *block, shared, extra) == (1, 1, 1, 1, 0, 0)
         assert function[0] == self.contexts[-1]
-        length = self.modules[function][1]
+        _, warp, length = self.modules[function]
         addresses = (ctypes.c_uint64 * length).from_address(parameters)
         values = [ctypes.c_int64.from_address(address).value for address in addresses]
         run = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * length)(function[1])
@@ -250,6 +417,10 @@ class _HostDriver(ModuleType):
         def act() -> None:
             _NUMBERS["ntid"].value = threads
             for _NUMBERS["ctaid"].value in range(blocks):
+                if warp is not None:
+                    for first in range(0, threads, _WARP):
+                        warp.run(function[1], values, first, min(_WARP, threads - first))
+                    continue
                 for _NUMBERS["tid"].value in range(threads):
                     run(*values)
             self.ended += 1
@@ -260,7 +431,9 @@ class _HostDriver(ModuleType):
 
 
 @once_for_all
-def _compile(text: str, name: str) -> NativeCode:
+def _compile(text: str, name: str) -> tuple[NativeCode, _Warp | None]:
+    entry = re.findall(r"ptx_kernel void (@[^)]*)\)", text)[0]
+    warp = _Warp() if "call i32 @llvm.nvvm.shfl.sync" in text else None
     text = re.sub(r"^target .*\n|ptx_kernel ", "", text, flags=re.M)
     for special, number in _NUMBERS.items():
         intrinsic = f"@llvm.nvvm.read.ptx.sreg.{special}.x()"
@@ -273,6 +446,13 @@ def _compile(text: str, name: str) -> NativeCode:
     # The tangent of a large angle has instructions of the device that no other code replaces.
     text = re.sub(r"call \{ i64, i64 \} asm .*", "call { i64, i64 } @host.abort()", text)
     text += _ASSEMBLY
+    if warp is not None:
+        for kind in ("bfly", "idx"):
+            intrinsic = f"@llvm.nvvm.shfl.sync.{kind}.i32("
+            text = re.sub(rf"^declare .*{re.escape(intrinsic)}.*\n", "", text, flags=re.M)
+            text = text.replace(intrinsic, f"@host.{kind}(")
+        text += warp.code(entry, entry.count(",") + 1)
+        name = "host.thread"
     for used, (kind, kinds, value) in _LIBDEVICE.items():
         declared = rf"^declare .*@{re.escape(used)}\(.*\n"
         if re.search(declared, text, flags=re.M):
@@ -284,7 +464,7 @@ def _compile(text: str, name: str) -> NativeCode:
         module = llvm.parse_assembly(text, context)
         code: bytes = create_machine(1).emit_object(module)
         module.close()
-    return load_object(code, name)
+    return load_object(code, name), warp
 
 
 def host_driver(monkeypatch: pytest.MonkeyPatch) -> _HostDriver:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -89,19 +90,25 @@ def test_ptxas_assembles_the_ptx_with_a_known_stack(
     kernel: Kernel, ptx: bytes, tmp_path: Path
 ) -> None:
     """Recursion or calls by pointers would leave the size of the stack unknown."""
-    source, target = tmp_path / "members.ptx", tmp_path / "members.cubin"
     outputs = device_code.emit_ptx(device_code.outputs_ir(kernel, ("pose", "energy")))
     tangents = device_code.emit_ptx(device_code.device_ir(kernel, DOP853(), tangent=True))
     assert _EXTERN not in tangents
     for code in (ptx, outputs, tangents):
-        source.write_bytes(code)
-        command = [_ptxas(), "-arch=sm_90", "-O1", "-v", str(source), "-o", str(target)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        assert "warning" not in done.stderr
-        assert "bytes cumulative stack size" in done.stderr
-        assert target.stat().st_size > 0
-        target.unlink()
+        assert assemble(code, tmp_path, "-O1") > 0
+
+
+def assemble(code: bytes, folder: Path, level: str) -> int:
+    """Assemble PTX with ptxas; return the size of the stack of a thread [bytes]."""
+    source, target = folder / "members.ptx", folder / "members.cubin"
+    source.write_bytes(code)
+    command = [_ptxas(), "-arch=sm_90", level, "-v", str(source), "-o", str(target)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "warning" not in done.stderr
+    assert target.stat().st_size > 0
+    target.unlink()
+    (size,) = re.findall(r"(\d+) bytes cumulative stack size", done.stderr)
+    return int(size)
 
 
 def _ptxas() -> str:

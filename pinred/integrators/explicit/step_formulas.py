@@ -7,15 +7,20 @@ numbers for a single run (SCALAR) and to vectors, with one member per lane, for 
 
 from __future__ import annotations
 
+import numpy as np
 from math import sqrt
 from typing import Any
-
-import numpy as np
-
 from ...common.arrays import Array
-from ..stepping.compiling import Bindings, inlined, unbound
+from ..stepping.compiling import Bindings
+from ..stepping.compiling import inlined
+from ..stepping.compiling import unbound
 from ..stepping.intrinsics import call
-from ..stepping.run_state import NEW, TURN, Run, Y, in_quaternion, quaternions_of
+from ..stepping.run_state import NEW
+from ..stepping.run_state import TURN
+from ..stepping.run_state import Run
+from ..stepping.run_state import Y
+from ..stepping.run_state import in_quaternion
+from ..stepping.run_state import quaternions_of
 
 # The state of a stage, the error rows, and the rates at both ends of a step. The rates of the other
 # stages and the dense-output terms follow.
@@ -65,6 +70,24 @@ def _power(base: float, exponent: float) -> float:
     return value
 
 
+@inlined
+def share(run: Run, i: int, term: Any) -> Any:  # noqa: ARG001
+    """Return the share of this run in a sum over entries of the state: all of the term of entry i."""
+    return term
+
+
+@inlined
+def whole(share_of_run: Any) -> Any:
+    """Return a sum over all entries of the state from the share of this run."""
+    return share_of_run
+
+
+@inlined
+def entries(run: Run) -> int:
+    """Return the number of entries of the state."""
+    return run.n
+
+
 SCALAR = {"same": _same, "get": _get, "put": _put, "choose": _choose, "power": _power}
 
 
@@ -101,8 +124,8 @@ def one_error(run: Run, work: Array, h: Any) -> Any:
     total = same(0.0)
     for i in range(run.n):
         error = get(work, ERROR, i) / entry_tolerance(run, work, i)
-        total = total + error * error
-    return h * sqrt(total / float(run.n))
+        total = total + share(run, i, error * error)
+    return h * sqrt(whole(total) / float(entries(run)))
 
 
 def two_errors(run: Run, work: Array, h: Any) -> Any:
@@ -111,10 +134,11 @@ def two_errors(run: Run, work: Array, h: Any) -> Any:
     for i in range(run.n):
         inverse = 1.0 / entry_tolerance(run, work, i)
         e5, e3 = get(work, ERROR, i) * inverse, get(work, ERROR3, i) * inverse
-        sum5 = sum5 + e5 * e5
-        sum3 = sum3 + e3 * e3
+        sum5 = sum5 + share(run, i, e5 * e5)
+        sum3 = sum3 + share(run, i, e3 * e3)
+    sum5, sum3 = whole(sum5), whole(sum3)
     mixed = sum5 + 0.01 * sum3
-    return choose(mixed == 0.0, 0.0, h * sum5 / sqrt(float(run.n) * mixed))
+    return choose(mixed == 0.0, 0.0, h * sum5 / sqrt(float(entries(run)) * mixed))
 
 
 def first_step(run: Run, params: Array, work: Array) -> Any:
@@ -133,8 +157,9 @@ def first_step(run: Run, params: Array, work: Array) -> Any:
             scale = same(run.atol + run.rtol * TURN)
         put(work, ERROR, i, scale)
         y, slope = y / scale, slope / scale
-        size = size + y * y
-        rate = rate + slope * slope
+        size = size + share(run, i, y * y)
+        rate = rate + share(run, i, slope * slope)
+    size, rate = whole(size), whole(rate)
     is_moving = (size > 1e-10) & (rate * (run.t_end * run.t_end) > 1e-10)
     unit_time = choose(is_moving, sqrt(size / rate), 1e-4 * run.t_end)
     h = smaller(0.01 * unit_time, longest)
@@ -145,7 +170,8 @@ def first_step(run: Run, params: Array, work: Array) -> Any:
     for i in range(run.n):
         change = get(work, END_RATE, i) - get(work, BEGIN_RATE, i)
         change = change / get(work, ERROR, i)
-        bend = bend + change * change
+        bend = bend + share(run, i, change * change)
+    bend = whole(bend)
     is_curved = (size > 1e-10) & (bend > 0.0)
     unit_time = choose(is_curved, sqrt(sqrt(size) * h / sqrt(bend)), unit_time)
     steepest = larger(sqrt(bend) / h * (unit_time * unit_time), sqrt(rate) * unit_time)

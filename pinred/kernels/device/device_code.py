@@ -1,4 +1,4 @@
-"""Batches on a CUDA device as LLVM IR and PTX: one thread integrates one member.
+"""Batches on a CUDA device as LLVM IR and PTX: one thread integrates one member, or a group does.
 
 The step loop is bitcode with the operations of single runs on the CPU, on fewer work rows
 (`few_rows.py`), and the vector field is the IR of the kernel.  The entry point only addresses the
@@ -17,39 +17,60 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+import casadi as ca
+import llvmlite.binding as llvm
+import numpy as np
+from collections.abc import Callable
+from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import Any
-
-import casadi as ca
-import llvmlite.binding as llvm
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from ...common.arrays import Array, read_only
-from ...common.errors import UnsupportedOperationError, install_command
+from numpy.typing import ArrayLike
+from numpy.typing import NDArray
+from ...common.arrays import Array
+from ...common.arrays import read_only
+from ...common.errors import UnsupportedOperationError
+from ...common.errors import install_command
 from ...common.machine_code import LLVM_LOCK
-from ...common.memo import once, once_for_all
-from ...common.object_cache import ObjectCache, cache_key
+from ...common.memo import once
+from ...common.memo import once_for_all
+from ...common.object_cache import ObjectCache
+from ...common.object_cache import cache_key
 from ...integrators.integrate import begun_by
-from ...integrators.integrate_many import Solutions, checked_batch, solutions
+from ...integrators.integrate_many import Solutions
+from ...integrators.integrate_many import checked_batch
+from ...integrators.integrate_many import solutions
 from ...integrators.methods.method import Explicit
-from ...integrators.stepping.call_wrapper import COMPILED, argument_type
-from ...integrators.stepping.run_state import LAYOUT, NOT_CANONICAL, new_run
-from ...integrators.stepping.shipped_code import bitcode_of, shipped_name
+from ...integrators.stepping.call_wrapper import COMPILED
+from ...integrators.stepping.call_wrapper import argument_type
+from ...integrators.stepping.run_state import LAYOUT
+from ...integrators.stepping.run_state import NOT_CANONICAL
+from ...integrators.stepping.run_state import new_run
+from ...integrators.stepping.shipped_code import bitcode_of
+from ...integrators.stepping.shipped_code import shipped_name
 from ...integrators.stepping.step_loop import OUTCOME
 from ...reduction.tree.identical_branches import Mark
 from ...system.state_fields import FIELDS
 from ..build import model_bytes
 from ..differentiable import joined_tangent
-from ..kernel import Kernel, in_given_order
+from ..kernel import Kernel
+from ..kernel import in_given_order
 from ..machine.lowering import lower
-from ..machine.sincos import PARTS, constant, declarations, rotated_ir
+from ..machine.sincos import PARTS
+from ..machine.sincos import constant
+from ..machine.sincos import declarations
+from ..machine.sincos import rotated_ir
 from ..reduced_graph import ReducedGraph
-from .cuda_driver import CAPABILITY, Launch, opened_devices, run_on_devices
+from .cuda_driver import CAPABILITY
+from .cuda_driver import Launch
+from .cuda_driver import opened_devices
+from .cuda_driver import run_on_devices
 from .few_rows import stepper_with_few_rows
+from .equal_limbs import Group
+from .equal_limbs import group_of
+from .few_rows import GROUP_CALLS
 
 _DIGITS = 1225  # number of binary digits of 2/π that the largest angles need
 _WINDOW = 32  # length of a window [bytes]
@@ -194,7 +215,8 @@ def ptx_of(kernel: Kernel, method: Explicit, *, tangent: bool = False) -> bytes:
     Raises:
         UnsupportedOperationError: The code needs a function that devices do not have.
     """
-    advance: Any = stepper_with_few_rows(method, tangent=tangent).loops.advance
+    group = None if tangent else group_of(kernel)
+    advance: Any = stepper_with_few_rows(method, tangent=tangent, group=group is not None).loops.advance
     loop = advance.py_func.__name__, advance.stamp
     return _cached_ptx(kernel, loop, lambda: device_ir(kernel, method, tangent=tangent))
 
@@ -238,16 +260,20 @@ def device_ir(kernel: Kernel, method: Explicit, *, tangent: bool = False) -> str
     Raises:
         UnsupportedOperationError: The code needs a function that devices do not have.
     """
-    rate = ReducedGraph(kernel.system, kernel.structure, kernel.forces).rate()
     # Without states, one number is integrated instead.
     n, parameters = max(kernel.layout.size, 1), kernel.layout.parameters
-    marks: list[Mark] | None = None
-    if tangent:
-        rate, marks = joined_tangent(rate, "rate"), []
-        n, parameters = 2 * n, 2 * parameters
-    stepper = stepper_with_few_rows(method, tangent=tangent)
-    entry = _entry(n, parameters, stepper.work(n).shape)
-    texts = [lower(rate, "rate", marks, fma=True), entry]
+    group = None if tangent else group_of(kernel)
+    stepper = stepper_with_few_rows(method, tangent=tangent, group=group is not None)
+    if group is not None:
+        field, rows = group.ir, stepper.work(len(group.places[0])).shape
+    else:
+        rate = ReducedGraph(kernel.system, kernel.structure, kernel.forces).rate()
+        marks: list[Mark] | None = None
+        if tangent:
+            rate, marks = joined_tangent(rate, "rate"), []
+            n, parameters = 2 * n, 2 * parameters
+        field, rows = lower(rate, "rate", marks, fma=True), stepper.work(n).shape
+    texts = [field, _entry(n, parameters, rows, group)]
     user = f"{method.name} or the forces"
     return _linked_ir(kernel, user, texts, ENTRY, _bitcode(stepper.loops.advance))
 
@@ -403,9 +429,19 @@ def _bitcode(advance: Any) -> bytes:
 
 
 def _with_direct_calls(ir: str) -> str:
-    """Call the kernel by its name, not by its address: a step loop has no other such calls."""
+    """Call the kernel, and functions of a group, by their names, not by their addresses.
+
+    A step loop has no other such calls.
+    """
     calls = re.sub(r"\bcall void %\d+\(", "call void @rate(", ir)
-    return f"{calls}\ndeclare void @rate(ptr, ptr, ptr)"
+    for address, name in GROUP_CALLS.items():
+        calls = calls.replace(f" inttoptr (i64 {address} to ptr)(", f" @{name}(")
+    return f"""\
+{calls}
+declare void @rate(ptr, ptr, ptr)
+declare double @pinred.sum(double)
+declare i64 @pinred.first(i64)
+"""
 
 
 # --- entry point ----------------------------------------------------------------------------
@@ -451,8 +487,8 @@ _SPECIAL = "\n".join(
 )
 
 
-def _entry(n: int, parameters: int, rows: tuple[int, ...]) -> str:
-    """Generate the entry point. Each thread executes it for one member.
+def _entry(n: int, parameters: int, rows: tuple[int, ...], group: Group | None) -> str:
+    """Generate the entry point. Each thread executes it for one member, or for its part of one.
 
     Its arguments are N, T, and R, the number of rows of report times, 1 or N; then the addresses of
     the registers of all runs (1,), parameters (N, p), initial states (N, n), end times (N,), report
@@ -462,10 +498,42 @@ def _entry(n: int, parameters: int, rows: tuple[int, ...]) -> str:
         n: Number of entries of the state.
         parameters: Number of parameters.
         rows: Shape of the work rows.
+        group: What the threads of a member divide, None if a member has one thread.
     Returns:
         The LLVM IR.
     """
     run, (count, stride) = LAYOUT.itemsize, rows
+    threads = 1 if group is None else len(group.places)
+    start = f"call void @llvm.memcpy.p0.p0.i64(ptr %work, ptr %y0, i64 {8 * n}, i1 false)"
+    places, entry_of = "", "%entry.of = load i64, ptr %entry.from"
+    if group is not None:
+        last = (count - 1) * stride
+        start = "\n".join(
+            f"%place{k}.at = getelementptr [{threads} x i64], ptr addrspace(1) @places, i64 {k}, "
+            f"i64 %lane\n"
+            f"%place{k} = load i64, ptr addrspace(1) %place{k}.at\n"
+            f"%y0.{k} = getelementptr double, ptr %y0, i64 %place{k}\n"
+            f"%value{k} = load double, ptr %y0.{k}\n"
+            f"%work{k} = getelementptr double, ptr %work, i64 {k}\n"
+            f"store double %value{k}, ptr %work{k}\n"
+            f"%number{k} = sitofp i64 %place{k} to double\n"
+            f"%places{k} = getelementptr double, ptr %work, i64 {last + k}\n"
+            f"store double %number{k}, ptr %places{k}"
+            for k in range(len(group.places[0]))
+        )
+        table = [row for column in zip(*group.places, strict=True) for row in column]
+        places = (
+            f"@places = internal addrspace(1) constant [{len(table)} x i64] "
+            f"[{', '.join(f'i64 {place}' for place in table)}]"
+        )
+        # The loop counts the entries of all threads in turn.
+        entry_of = """\
+%entry.code = load i64, ptr %entry.from
+%entry.known = icmp sge i64 %entry.code, 0
+%entry.index = select i1 %entry.known, i64 %entry.code, i64 0
+%entry.at = getelementptr i64, ptr addrspace(1) @places, i64 %entry.index
+%entry.place = load i64, ptr addrspace(1) %entry.at
+%entry.of = select i1 %entry.known, i64 %entry.place, i64 -1"""
     arguments = ", ".join([
         "ptr %result", "ptr %error",
         _array("%run", run, "1", "1"),
@@ -483,8 +551,8 @@ def _entry(n: int, parameters: int, rows: tuple[int, ...]) -> str:
     stores = "\n".join(
         f"%{name}.from = getelementptr i8, ptr %run, i64 {registers[name][1]}\n"
         f"%{name}.to = getelementptr i8, ptr %outcome, i64 {outcome[name][1]}\n"
-        f"%{name} = load i64, ptr %{name}.from\n"
-        f"store i64 %{name}, ptr %{name}.to"
+        + (entry_of if name == "entry" else f"%{name}.of = load i64, ptr %{name}.from")
+        + f"\nstore i64 %{name}.of, ptr %{name}.to"
         for name in ("t", "entry", "steps", "rejected", "evaluations")
     )
     return f"""\
@@ -492,6 +560,7 @@ declare i32 @{COMPILED}({kinds})
 declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)
 {_SPECIAL}
+{places}
 define ptx_kernel void @{ENTRY}(i64 %N, i64 %T, i64 %R, ptr %allruns, ptr %allparams, ptr %ally0,
                                 ptr %allends, ptr %alltimes, ptr %ally, ptr %alloutcomes) {{
 %run = alloca [{run} x i8], align 8
@@ -499,25 +568,28 @@ define ptx_kernel void @{ENTRY}(i64 %N, i64 %T, i64 %R, ptr %allruns, ptr %allpa
 %result = alloca i64
 %error = alloca i64
 %nothing = alloca i64
-{_thread_ir("%N")}
+%threads = mul i64 %N, {threads}
+{_thread_ir("%threads")}
+%member = udiv i64 %thread, {threads}
+%lane = urem i64 %thread, {threads}
 %numbers = mul i64 %T, {n}
-%params.first = mul i64 %thread, {parameters}
-%y0.first = mul i64 %thread, {n}
-%times.row = urem i64 %thread, %R
+%params.first = mul i64 %member, {parameters}
+%y0.first = mul i64 %member, {n}
+%times.row = urem i64 %member, %R
 %times.first = mul i64 %times.row, %T
-%y.first = mul i64 %thread, %numbers
+%y.first = mul i64 %member, %numbers
 %params = getelementptr double, ptr %allparams, i64 %params.first
 %y0 = getelementptr double, ptr %ally0, i64 %y0.first
-%end.from = getelementptr double, ptr %allends, i64 %thread
+%end.from = getelementptr double, ptr %allends, i64 %member
 %times = getelementptr double, ptr %alltimes, i64 %times.first
 %y = getelementptr double, ptr %ally, i64 %y.first
-%outcome = getelementptr [{OUTCOME.itemsize} x i8], ptr %alloutcomes, i64 %thread
+%outcome = getelementptr [{OUTCOME.itemsize} x i8], ptr %alloutcomes, i64 %member
 call void @llvm.memcpy.p0.p0.i64(ptr %run, ptr %allruns, i64 {run}, i1 false)
 %end.to = getelementptr i8, ptr %run, i64 {registers["t_end"][1]}
 %end.time = load double, ptr %end.from
 store double %end.time, ptr %end.to
 call void @llvm.memset.p0.i64(ptr %work, i8 0, i64 {8 * count * stride}, i1 false)
-call void @llvm.memcpy.p0.p0.i64(ptr %work, ptr %y0, i64 {8 * n}, i1 false)
+{start}
 %code = call i32 @{COMPILED}({arguments})
 %status = load i64, ptr %result
 %status.to = getelementptr i8, ptr %outcome, i64 {outcome["status"][1]}
@@ -611,7 +683,7 @@ def integrate_on_device(
     *,
     tangent: bool = False,
 ) -> Solutions:
-    """Integrate ẏ = f(y, params[i]) from y0[i] for all members i, one member per thread.
+    """Integrate ẏ = f(y, params[i]) from y0[i] for all members i, one member per thread or group.
 
     The step loop and its numbers are those of `integrate`. A device may round the kernel and its
     sines differently, so the results agree up to round-off and its growth.
@@ -639,14 +711,21 @@ def integrate_on_device(
     asked = checked_batch(kernel.rate.address, params, y0, t_end, times, quaternions, 1)
     batch = asked.batch
     n, (rows, columns) = batch.y0.shape[1], batch.times.shape
+    group = None if tangent else group_of(kernel)
+    if group is not None:
+        n, (first, count) = len(group.places[0]), quaternions
+        quaternions = (group.places[0].index(first) if count else 0), count
     run = begun_by(method, kernel.rate.address, n, asked.end, quaternions, NOT_CANONICAL)
     run["budget"] = _NO_PAUSE
+    if group is not None:
+        run["lanes"], run["pairs"] = len(group.places), group.own
     launch = Launch(
         ptx_of(kernel, method, tangent=tangent),
         ENTRY,
         (columns, rows),
         (run, batch.params, batch.y0, batch.ends, batch.times),
         (batch.y, batch.outcomes),
+        1 if group is None else len(group.places),
     )
     run_on_devices(launch, progress)
     return solutions(method, batch)

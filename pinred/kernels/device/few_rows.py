@@ -7,52 +7,63 @@ are those of its stages.  Operations and numbers are those of `explicit/runge_ku
 A run may carry a tangent: its rows then contain n numbers of a state, followed by the n numbers of
 its derivative along one direction.  The errors of the state alone determine the steps, so they are
 those of the run without a tangent.
+
+A group of threads may divide a state (`equal_limbs.py`): the first run.pairs entries of each thread
+are its own, and the others copies, which all run.lanes threads have.  Sums over the state are added
+up across the group, so that all threads have the same errors, steps and outcomes.
 """
 
 from __future__ import annotations
 
+import numpy as np
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, TypeAlias
-
-import numpy as np
-
+from typing import Any
+from typing import TypeAlias
 from ...common.arrays import Array
 from ...common.memo import once_for_all
-from ...integrators.explicit.row_programs import Rate, Sum, row_program
-from ...integrators.explicit.runge_kutta import (
-    Tableau,
-    accept_step,
-    begin_run,
-    digest,
-    fill_dense_rows,
-    next_end_time,
-)
-from ...integrators.explicit.step_formulas import SCALAR, add_formulas, dense_value, next_step
+from ...integrators.explicit.row_programs import Rate
+from ...integrators.explicit.row_programs import Sum
+from ...integrators.explicit.row_programs import row_program
+from ...integrators.explicit.runge_kutta import Tableau
+from ...integrators.explicit.runge_kutta import accept_step
+from ...integrators.explicit.runge_kutta import begin_run
+from ...integrators.explicit.runge_kutta import digest
+from ...integrators.explicit.runge_kutta import fill_dense_rows
+from ...integrators.explicit.runge_kutta import next_end_time
+from ...integrators.explicit.step_formulas import SCALAR
+from ...integrators.explicit.step_formulas import add_formulas
+from ...integrators.explicit.step_formulas import dense_value
+from ...integrators.explicit.step_formulas import next_step
 from ...integrators.methods.method import Explicit
-from ...integrators.stepping.compiling import Bindings, bind_globals, inlined, unbound
-from ...integrators.stepping.run_state import (
-    DENSE,
-    DONE,
-    NEW,
-    STEP,
-    Run,
-    Y,
-    across,
-    copy_an_end,
-    first_entries,
-    first_not_finite,
-    inverse_length,
-    padded_rows,
-    quaternions_of,
-    reject_step,
-    unit_alone,
-)
-from ...integrators.stepping.step_loop import Hooks, Stepper, loops
-
+from ...integrators.stepping.compiling import Bindings
+from ...integrators.stepping.compiling import bind_globals
+from ...integrators.stepping.compiling import inlined
+from ...integrators.stepping.compiling import unbound
+from ...integrators.stepping.run_state import DENSE
+from ...integrators.stepping.run_state import DONE
+from ...integrators.stepping.run_state import NEW
+from ...integrators.stepping.run_state import STEP
+from ...integrators.stepping.run_state import Run
+from ...integrators.stepping.run_state import Y
+from ...integrators.stepping.run_state import across
+from ...integrators.stepping.run_state import copy_an_end
+from ...integrators.stepping.run_state import first_entries
+from ...integrators.stepping.run_state import first_not_finite
+from ...integrators.stepping.run_state import inverse_length
+from ...integrators.stepping.run_state import padded_rows
+from ...integrators.stepping.run_state import quaternions_of
+from ...integrators.stepping.run_state import reject_step
+from ...integrators.stepping.run_state import unit_alone
+from ...integrators.stepping.step_loop import Hooks
+from ...integrators.stepping.step_loop import Stepper
+from ...integrators.stepping.step_loop import loops
+from llvmlite import ir
+from ...integrators.stepping.compiling import make_intrinsic
+from ...integrators.stepping.compiling import numba_core
 
 @dataclass(frozen=True)
 class Rows:
@@ -244,28 +255,99 @@ def error_of_state(run: Run, work: Array, h: float) -> float:
     return error
 
 
+# --- states that a group of threads divides -----------------------------------------------------
+
+# A step loop calls functions of the group at these addresses, which become names: the sum of a
+# number over the threads, and the first of their indices, see `equal_limbs.exchange_ir`.
+GROUP_CALLS = {1 << 20: "pinred.sum", 1 << 21: "pinred.first"}
+PLACES, PART = 0, 0  # rows: index in the state of each entry of the thread; entries for a report
+_SUM, _FIRST = GROUP_CALLS
+
+
+def _group_call(address: int, number: Any) -> Any:
+    """Return numba's signature and code generator of a function at an address."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
+        kind = arguments[0].type
+        function = ir.FunctionType(kind, [kind]).as_pointer()
+        place = ir.Constant(ir.IntType(64), address)
+        return builder.call(builder.inttoptr(place, function), arguments)
+
+    return number(number), generate
+
+
+@make_intrinsic
+def sum_of_group(typing: Any, number: Any) -> Any:
+    """Return the sum of a float over the threads of a group."""
+    return _group_call(_SUM, numba_core.types.float64)
+
+
+@make_intrinsic
+def first_of_group(typing: Any, index: Any) -> Any:
+    """Return the smallest of the threads' indices, with its thread; −1 if all are negative."""
+    return _group_call(_FIRST, numba_core.types.int64)
+
+
+@inlined
+def share_of_thread(run: Run, i: int, term: float) -> float:
+    """Return the share of a thread in a sum over the state: of its own entries, and of copies."""
+    return term if i < run.pairs else term / run.lanes
+
+
+@inlined
+def whole_of_group(share_of_run: float) -> float:
+    """Return a sum over the state from the shares of all threads."""
+    total: float = sum_of_group(share_of_run)
+    return total
+
+
+@inlined
+def entries_of_group(run: Run) -> int:
+    """Return the number of entries of the state."""
+    return run.n + (run.lanes - 1) * run.pairs
+
+
+@inlined
+def first_not_finite_of_group(row: Array, n: int) -> int:
+    """Return the first entry that is not finite, times the threads, plus its thread; or −1."""
+    first: int = first_of_group(first_not_finite(row, n))
+    return first
+
+
+def write_part(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
+    """Write the entries of a thread to a state inside the step (hook)."""
+    status: int = write_state(run, params, work, time, t_new, work[PART])
+    for i in range(run.n):
+        out[int(work[PLACES, i])] = work[PART, i]
+    return status
+
+
 # --- loops from tableaux ------------------------------------------------------------------------
 
 
-def stepper_with_few_rows(method: Explicit, *, tangent: bool = False) -> Stepper:
+def stepper_with_few_rows(
+    method: Explicit, *, tangent: bool = False, group: bool = False
+) -> Stepper:
     """Return the stepper of a method for devices; it stores no stages.
 
     Args:
         method: The method.
         tangent: Whether a run carries a tangent: its kernel maps states and parameters, each
             followed by their directions, to rates followed by their derivatives.
+        group: Whether a group of threads divides the state. The last work row of each contains the
+            places of its entries.
     Returns:
         The stepper.
     """
-    return _stepper(type(method).__name__, method.order, method.tableau(), tangent)
+    return _stepper(type(method).__name__, method.order, method.tableau(), tangent, group)
 
 
 @once_for_all
-def _stepper(name: str, order: int, tableau: Tableau, tangent: bool) -> Stepper:
+def _stepper(name: str, order: int, tableau: Tableau, tangent: bool, group: bool) -> Stepper:
     rows, s = Rows.of(tableau), tableau.stages
     # Bitcode in caches belongs to this file, too.
     version = sha256(Path(__file__).read_bytes()).hexdigest()[:12]
-    prefix = f"{name}_few_{digest(order, tableau)}_{version}{'_tangent' * tangent}"
+    prefix = f"{name}_few_{digest(order, tableau)}_{version}{'_tangent' * tangent}{'_group' * group}"
 
     def weighted(out: int, base: int | None, weights: Array) -> Sum:
         rates = zip(rows.rates, weights.tolist(), strict=False)
@@ -281,6 +363,7 @@ def _stepper(name: str, order: int, tableau: Tableau, tangent: bool) -> Stepper:
         parts.append(at_end)
     dense = [step for part in stages(rows.stage, range(s + 1, len(tableau.A))) for step in part]
     dense += [weighted(rows.first + 3 + k, None, w) for k, w in enumerate(tableau.dense)]
+    finite = {"first_not_finite": first_not_finite_of_group} if group else {}
     bindings = Bindings(
         prefix,
         BEGIN_RATE=rows.rates[0],
@@ -299,9 +382,16 @@ def _stepper(name: str, order: int, tableau: Tableau, tangent: bool) -> Stepper:
             for row, weights in zip(rows.errors, tableau.errors, strict=True)
         ]),
         fill_dense=row_program(dense),
-        find_in_stages=_finder(prefix, parts, rows.rates[0]),
+        find_in_stages=_finder(prefix, parts, rows.rates[0], **finite),
+        PART=rows.count,
+        PLACES=rows.count + 1,
         **SCALAR,
+        **finite,
     )  # fmt: skip
+    if group:
+        bindings.values |= {
+            "share": share_of_thread, "whole": whole_of_group, "entries": entries_of_group,
+        }  # fmt: skip
     add_formulas(bindings, len(tableau.errors))
     bindings.add(fill_dense_rows)
     if tangent:
@@ -311,14 +401,17 @@ def _stepper(name: str, order: int, tableau: Tableau, tangent: bool) -> Stepper:
             "unit": unit_with_tangent, "unit_alone": unit_alone_with_tangent,
             "quaternions_of": places_of,
         }  # fmt: skip
-    hooks = (begin_run, next_end_time, attempt_step, accept_step, write_state)
+    hooks = [begin_run, next_end_time, attempt_step, accept_step, write_state]
+    bound = [bindings.add(hook) for hook in hooks]
+    if group:
+        bound[-1] = bindings.add(write_part)
     return Stepper(
-        loops(prefix, Hooks(*map(bindings.add, hooks))),
-        partial(padded_rows, rows.count),
+        loops(prefix, Hooks(*bound)),
+        partial(padded_rows, rows.count + 2 * group),
     )
 
 
-def _finder(prefix: str, parts: list[list[Sum | Rate]], begin: int) -> Any:
+def _finder(prefix: str, parts: list[list[Sum | Rate]], begin: int, **names: Any) -> Any:
     """Return the function that finds the first entry that is not finite, stage by stage."""
     finder: Any = inlined(bind_globals(find_nothing, f"{prefix}_find_nothing"))
     for k, part in reversed([*enumerate([list[Sum | Rate](), *parts])]):
@@ -326,7 +419,7 @@ def _finder(prefix: str, parts: list[list[Sum | Rate]], begin: int) -> Any:
         finder = inlined(
             bind_globals(
                 find_entry, f"{prefix}_find_{k}", program=row_program(part), ROW=row,
-                find_later=finder,
+                find_later=finder, **names,
             )
         )  # fmt: skip
     return finder

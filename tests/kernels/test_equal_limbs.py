@@ -1,0 +1,264 @@
+"""Robots with equal limbs in groups of device threads, whose code the CPU executes in lockstep."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+import pytest
+from ball_trees import random_body
+from host_cuda_driver import host_driver
+from test_device_code import assemble
+from trees import limbed_model, mirrored_model
+
+import pinred
+from pinred.forces.kinds import Damper, Torque
+from pinred.integrators.methods import DOP853
+from pinred.kernels.build import build_kernel
+from pinred.kernels.device import device_code, equal_limbs
+from pinred.kernels.device.cuda_driver import Launch, run_on_devices
+from pinred.kernels.device.equal_limbs import Group, exchange_ir, group_of
+from pinred.kernels.kernel import Kernel, Structure
+from pinred.system.system import System
+
+def spider(seed: int = 0, limbs: int = 4, *, balls: bool = False) -> System:
+    """Return a body with equal limbs of three hinges and a tail of one.
+
+    With balls, a limb hangs on a ball.
+    """
+    rng = np.random.default_rng(seed)
+    model = pin.Model()
+    model.name = f"spider-{limbs}-{seed}"
+    model.gravity.setZero()
+    root = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+    model.appendBodyToJoint(root, *random_body(rng))
+    tail = model.addJoint(root, pin.JointModelRY(), pin.SE3.Random(), "tail")
+    model.appendBodyToJoint(tail, *random_body(rng))
+    for limb in range(limbs):
+        parent = root
+        for k, kind in enumerate((pin.JointModelRZ, pin.JointModelRX, pin.JointModelRX)):
+            if balls and k == 0:
+                kind = pin.JointModelSpherical
+            place = pin.SE3(pin.exp3(0.3 * rng.normal(size=3)), 0.3 * rng.normal(size=3))
+            parent = model.addJoint(parent, kind(), place, f"limb{limb}_{k}")
+            model.appendBodyToJoint(parent, *random_body(rng))
+    return System(model)
+
+
+def _kernel(system: System) -> Kernel:
+    return build_kernel(system, Structure(zero_momentum=False))
+
+
+def _group(system: System) -> Group | None:
+    return group_of(_kernel(system))
+
+
+# --- which robots, and how they are divided ------------------------------------------------------
+
+
+def test_threads_have_the_entries_of_their_limb_and_copies_of_the_others() -> None:
+    """Each entry of the state belongs to one thread or to all."""
+    system = spider()
+    kernel, group = _kernel(system), _group(system)
+    assert group is not None
+    own = np.array([row[: group.own] for row in group.places])
+    shared = {row[group.own :] for row in group.places}
+    assert len(shared) == 1
+    assert own.shape == (4, 6)
+    assert sorted([*own.ravel().tolist(), *shared.pop()]) == list(range(kernel.layout.size))
+    # Joint angles come first, sorted as the joints of the model, then the momenta.
+    m = system.m
+    joints = [system.space.names[k % m] for k in own.ravel() % m]
+    assert [name.split("_")[0] for name in joints] == [f"limb{k // 6}" for k in range(24)]
+
+
+@pytest.mark.parametrize(
+    "system",
+    [
+        pinred.load("falling_cat"),
+        pinred.load("satellite_two_arms"),
+        spider(limbs=3),
+        spider(limbs=1),
+        spider(balls=True),
+    ],
+    ids=["no limbs", "two limbs save too little", "three limbs", "one limb", "balls"],
+)
+def test_other_robots_have_one_thread_for_a_member(system: System) -> None:
+    """Groups are chosen by what a thread saves, and their size is that of SIMD lanes."""
+    assert _group(system) is None
+
+
+@pytest.mark.by_hand
+def test_stack_of_a_thread_is_less_than_half(tmp_path: Path) -> None:
+    """What groups are for: rows and spilled numbers stay near the processor."""
+    kernel = _kernel(spider())
+    with_group = device_code.device_ir(kernel, DOP853())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(device_code, "group_of", lambda _: None)
+        alone = device_code.device_ir(kernel, DOP853())
+    sizes = [assemble(device_code.emit_ptx(ir), tmp_path, "-O3") for ir in (with_group, alone)]
+    assert sizes[0] < 0.55 * sizes[1]
+
+
+# --- exchanges -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("threads", equal_limbs.WIDTHS)
+def test_all_threads_of_a_group_get_the_same_bits(
+    threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sums are added in pairs, so that no thread rounds differently."""
+    host_driver(monkeypatch)
+    groups = 24  # more than a block of 64 threads
+    rng = np.random.default_rng(0)
+    numbers = rng.normal(size=(groups, threads)) * 10.0 ** rng.integers(-8, 8, (groups, threads))
+    indices = rng.integers(-1, 3, (groups, threads))
+    indices[3] = -1
+    code = f"""
+{exchange_ir(threads)}
+define ptx_kernel void @exchange(i64 %N, ptr %numbers, ptr %indices, ptr %sums, ptr %ofs, ptr %firsts) {{
+%tid = call i32 @llvm.nvvm.read.ptx.sreg.tid.x()
+%block = call i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
+%before = mul i32 %block, 64
+%thread32 = add i32 %before, %tid
+%thread = zext i32 %thread32 to i64
+%last = mul i64 %N, {threads}
+%is = icmp slt i64 %thread, %last
+br i1 %is, label %begin, label %end
+begin:
+%number.at = getelementptr double, ptr %numbers, i64 %thread
+%number = load double, ptr %number.at
+%index.at = getelementptr i64, ptr %indices, i64 %thread
+%index = load i64, ptr %index.at
+%sum = call double @pinred.sum(double %number)
+%of = call double @pinred.of(double %number, i32 1)
+%first = call i64 @pinred.first(i64 %index)
+%sum.at = getelementptr double, ptr %sums, i64 %thread
+store double %sum, ptr %sum.at
+%of.at = getelementptr double, ptr %ofs, i64 %thread
+store double %of, ptr %of.at
+%first.at = getelementptr i64, ptr %firsts, i64 %thread
+store i64 %first, ptr %first.at
+br label %end
+end:
+ret void
+}}
+declare i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
+"""
+    sums, ofs = np.empty((groups, threads)), np.empty((groups, threads))
+    firsts = np.empty((groups, threads), np.int64)
+    launch = Launch(
+        code.encode(), "exchange", (), (numbers, indices), (sums, ofs, firsts), threads
+    )
+    run_on_devices(launch)
+    pairs = numbers
+    while pairs.shape[1] > 1:
+        pairs = pairs[:, ::2] + pairs[:, 1::2]
+    assert np.array_equal(sums, np.repeat(pairs, threads, axis=1))
+    assert np.array_equal(ofs, np.repeat(numbers[:, 1:2], threads, axis=1))
+    codes = np.where(indices < 0, 99, indices * threads + np.arange(threads)).min(axis=1)
+    codes[codes == 99] = -1
+    assert codes[3] == -1
+    assert np.array_equal(firsts, np.repeat(codes[:, None], threads, axis=1))
+
+
+# --- motions -------------------------------------------------------------------------------------
+
+
+def _agree(system: System, monkeypatch: pytest.MonkeyPatch, **options: Any) -> None:
+    """Compare members in groups of threads with members on the CPU."""
+    cpu = pinred.simulate_many(system, **options)
+    driver = host_driver(monkeypatch)
+    device = pinred.simulate_many(system, device="cuda", **options)
+    assert driver.memory == {}
+    assert device.failures == cpu.failures
+    assert np.array_equal(np.isnan(device.y), np.isnan(cpu.y))
+    scale = np.nanmax(np.abs(cpu.y))
+    assert np.nanmax(np.abs(device.y - cpu.y)) <= 1e-11 * scale
+    (found,), (expected,) = device._batches, cpu._batches
+    assert (expected.steps > 3).all()
+    # Copies count once in the errors: otherwise steps would be shorter.
+    assert (np.abs(found.steps - expected.steps) <= 1).all()
+
+
+def _options(system: System, count: int = 6, seed: int = 5) -> dict[str, Any]:
+    rng = np.random.default_rng(seed)
+    return {
+        "members": {
+            "x0": 0.3 * rng.normal(size=(count, system.m)),
+            "xdot0": rng.normal(size=(count, system.m)),
+            "xi0": 0.5 * rng.normal(size=(count, 6)),
+        },
+        "times": [0.0, 0.1, 0.33, 0.6],
+        "method": "DOP853(rtol=1e-11, atol=1e-11)",
+    }
+
+
+@pytest.mark.by_hand
+def test_members_in_groups_of_threads_agree_with_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There are more members than a block has groups."""
+    system = spider()
+    assert _group(system) is not None
+    _agree(system, monkeypatch, **_options(system, 18))
+
+
+def test_members_with_forces_on_single_limbs_agree_with_the_cpu(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A torque on one limb depends on another one, so a thread tells its number to the others."""
+    monkeypatch.setattr(equal_limbs, "SHARE", 1.0)
+    system = spider(1)
+    gain = pinred.Parameter("gain", 0.1)
+
+    def torque(t: ca.SX, x: Any, xdot: Any, _: Any) -> Any:
+        return ca.sin(x["limb3_1"]) * xdot["tail"] + ca.fmax(x["limb1_0"], 0.1) * ca.cos(3 * t)
+
+    options = _options(system)
+    options["members"]["gain"] = np.linspace(0.1, 0.3, 6)
+    forces = [Damper(name, gain) for name in system.space.names]
+    forces.append(Torque({"limb0_2": torque}))
+    _agree(system, monkeypatch, forces=forces, **options)
+
+
+@pytest.mark.by_hand
+def test_two_threads_integrate_two_limbs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where groups of two would not be chosen, and with another method and one error."""
+    monkeypatch.setattr(equal_limbs, "SHARE", 1.0)
+    system = pinred.load("satellite_two_arms")
+    options = _options(system, 4)
+    _agree(system, monkeypatch, **options | {"method": "Tsit5(rtol=1e-9, atol=1e-9)"})
+
+
+@pytest.mark.by_hand
+@pytest.mark.parametrize("make", [limbed_model, mirrored_model])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_random_limbs_agree_with_the_cpu(
+    make: Any, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Constants of limbs agree, differ, vanish or differ by sign; joints are of all types."""
+    monkeypatch.setattr(equal_limbs, "SHARE", 1.0)
+    system = System(make("SE3", 4, 2, seed))
+    assert _group(system) is not None
+    _agree(system, monkeypatch, **_options(system, 3))
+
+
+def test_entry_that_is_not_finite_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All threads of a group end together, also if only one of them has seen the entry."""
+    monkeypatch.setattr(equal_limbs, "SHARE", 1.0)
+    system = spider(2)
+
+    def torque(t: ca.SX, *_: Any) -> Any:
+        return ca.sqrt(0.2 - t)
+
+    options = _options(system) | {"forces": [Torque({"limb2_1": torque})]}
+    cpu = pinred.simulate_many(system, **options)
+    host_driver(monkeypatch)
+    device = pinred.simulate_many(system, device="cuda", **options)
+    assert len(cpu.failures) == 6
+    for found, expected in zip(device.failures, cpu.failures, strict=True):
+        assert "limb2_1" in expected.reason
+        assert found.reason == expected.reason
+        assert found.time == pytest.approx(expected.time, rel=1e-9)
