@@ -24,6 +24,7 @@ from pinred.kernels.device.equal_limbs import Group, exchange_ir, group_of
 from pinred.kernels.kernel import Kernel, Structure
 from pinred.system.system import System
 
+
 def spider(seed: int = 0, limbs: int = 4, *, balls: bool = False) -> System:
     """Return a body with equal limbs of three hinges and a tail of one.
 
@@ -150,9 +151,7 @@ declare i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
 """
     sums, ofs = np.empty((groups, threads)), np.empty((groups, threads))
     firsts = np.empty((groups, threads), np.int64)
-    launch = Launch(
-        code.encode(), "exchange", (), (numbers, indices), (sums, ofs, firsts), threads
-    )
+    launch = Launch(code.encode(), "exchange", (), (numbers, indices), (sums, ofs, firsts), threads)
     run_on_devices(launch)
     pairs = numbers
     while pairs.shape[1] > 1:

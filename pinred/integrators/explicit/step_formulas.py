@@ -7,20 +7,15 @@ numbers for a single run (SCALAR) and to vectors, with one member per lane, for 
 
 from __future__ import annotations
 
-import numpy as np
 from math import sqrt
 from typing import Any
+
+import numpy as np
+
 from ...common.arrays import Array
-from ..stepping.compiling import Bindings
-from ..stepping.compiling import inlined
-from ..stepping.compiling import unbound
+from ..stepping.compiling import Bindings, inlined, unbound
 from ..stepping.intrinsics import call
-from ..stepping.run_state import NEW
-from ..stepping.run_state import TURN
-from ..stepping.run_state import Run
-from ..stepping.run_state import Y
-from ..stepping.run_state import in_quaternion
-from ..stepping.run_state import quaternions_of
+from ..stepping.run_state import NEW, TURN, Run, Y, in_quaternion, quaternions_of
 
 # The state of a stage, the error rows, and the rates at both ends of a step. The rates of the other
 # stages and the dense-output terms follow.
