@@ -15,6 +15,7 @@ from ..forces.force_model import ForceModel
 from ..reduction.tree.free_bodies import NOTHING, Freed
 from ..reduction.tree.identical_branches import Lanes
 from ..reduction.tree.loop_constraints import GAUGE_RATE, needs_second_solution
+from ..system.joints import axes_of
 from ..system.loops.kinematics import law_of, loop_ends
 from ..system.loops.loop import Loop
 from ..system.system import System, nominal
@@ -48,14 +49,15 @@ def model_bytes(system: System, freed: Freed = NOTHING) -> bytes:
         if i - 1 not in freed.inertias:
             digest.update(np.concatenate([[Y.mass], Y.lever, Y.inertia.ravel()]).tobytes())
         # The motion axis of a joint that is not aligned with x, y or z is not part of its type.
-        digest.update(np.asarray(joint.createData().S).tobytes())
+        digest.update(axes_of(joint).tobytes())
     digest.update(np.asarray(model.armature).tobytes())
     if system.coupled is not None:
         for numbers in (system.coupled.leads, system.coupled.G, system.coupled.offset):
             digest.update(numbers.tobytes())
     if system.closure is not None:
         digest.update(system.closure.rows.tobytes() + str(GAUGE_RATE).encode())
-        digest.update(f"{needs_second_solution(system)}".encode())
+        if needs_second_solution(system):  # Stores of earlier versions have none.
+            digest.update(b"second solution")
         for loop in system.loops:
             if not isinstance(loop, Loop):
                 digest.update(repr(loop).encode())

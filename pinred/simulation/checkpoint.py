@@ -270,8 +270,9 @@ class Checkpoint:
         k, content = len(self._records), self._content
         saved = content["runs"][k] if content and k < len(content["runs"]) else {}
         for entry, current, what in (
-            ("scene", scene, "another scene"),
+            # Other versions may also describe the same scene otherwise.
             ("place", place, "other versions of the packages, or for another CPU"),
+            ("scene", scene, "another scene"),
         ):
             if saved and saved[entry] != current:
                 raise InputError(
