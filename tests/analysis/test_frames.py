@@ -49,8 +49,11 @@ def test_optimal_frame_reduces_error_of_surface_integral() -> None:
         assert result.trusted
         # In another frame the phase is conjugate to the published one.
         assert np.hypot(*result.phase[:2]) == pytest.approx(0.0512808243, abs=1e-8)
-        turned = (result.log - result.integral)[:2]
-        assert result.error == pytest.approx(np.linalg.norm(turned) / np.hypot(*result.log[:2]))
+    off_centre = pinred.Gait.fourier([0.4, 0.0], [[1.0, 0.0]], [[0.0, 1.0]])
+    turning = pinred.corrected_integral(A, off_centre)
+    assert abs(turning.log[2]) > 1e-3
+    differences = (turning.integral - turning.log)[:2]
+    assert turning.error == pytest.approx(np.hypot(*differences) / np.hypot(*turning.log[:2]))
 
 
 def test_error_of_surface_integral_grows_with_radius() -> None:
