@@ -123,6 +123,7 @@ TESTS: dict[str, list[str]] = {
         "integrators/test_steppers.py", "integrators/test_batches.py",
         "integrators/test_measured_orders.py", "integrators/test_further_method.py",
         "integrators/test_work_rows.py", "integrators/test_radau.py",
+        "integrators/test_several_quaternions.py",
     ],
     "simulation": [
         "simulation/test_balances.py", "judge/test_audit.py", "forces/test_forces.py",
