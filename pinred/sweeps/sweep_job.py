@@ -296,7 +296,7 @@ def read_job(folder: Path, sweep: str) -> SweepJob:
         why = (
             "their store was written or changed by another user"
             if path.exists()
-            else "the scene contains functions, which its store cannot keep"
+            else "the scene contains functions, or the store is of a version that kept no scenes"
         )
         raise InputError(f"point: these results were read without their scene: {why}. {_REMEDY}")
     try:

@@ -94,6 +94,10 @@ class Measure:
     frame: str = ""
     joint: str = ""
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields to pickle, without an empty `joint`, which older stores do not name."""
+        return {name: value for name, value in vars(self).items() if value or name != "joint"}
+
     def __call__(self, many: Trajectories) -> Array:
         """Return one row for each member; NaN for members that did not reach their end.
 

@@ -17,6 +17,7 @@ import pinred
 from pinred.analysis.connections import gaits_of_all_joints
 from pinred.analysis.connections.gaits_of_all_joints import AllJointsCode, along_joints
 from pinred.analysis.connections.loop_connection import LoopConnectionCode
+from pinred.analysis.phases.gait import FourierArc
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, IntegrationError, SingularInertiaError
 from pinred.system.coordinates import InitialState
@@ -310,12 +311,34 @@ def test_path_that_misses_the_independent_joints_is_not_used(
     assert gaits_of_all_joints.through_dead_points(code, of_joints(full_turn(0.7), [2])) is None
 
 
-@pytest.mark.parametrize(("size", "is_resolved"), [(3e-9, False), (3e-10, True)])
-def test_path_with_unresolved_harmonics_is_not_used(size: float, is_resolved: bool) -> None:
-    """A Fourier series keeps a quarter of the samples as harmonics; the others must be small."""
+def sums_of_cosines(largest: float, size: float, harmonic: int) -> pinred.Gait | None:
+    """Return the gait of samples whose first coefficient is `largest`, and another one `size`."""
     s = np.arange(256) / 256
-    x = np.column_stack([np.cos(TAU * s) + 2.0 * size * np.cos(100.0 * TAU * s)])
-    assert (gaits_of_all_joints._as_gait(x, np.zeros(1), 1.0, 0.0) is not None) == is_resolved
+    x = 2.0 * (largest * np.cos(TAU * s) + size * np.cos(harmonic * TAU * s))
+    return gaits_of_all_joints._as_gait(x[:, None], np.zeros(1), 1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("largest", "size", "is_resolved"),
+    [(0.5, 3e-9, False), (0.01, 3e-10, True), (100.0, 3e-8, True)],
+)
+def test_path_with_unresolved_harmonics_is_not_used(
+    largest: float, size: float, is_resolved: bool
+) -> None:
+    """A Fourier series keeps a quarter of the samples as harmonics; the others must be small."""
+    assert (sums_of_cosines(largest, size, 100) is not None) == is_resolved
+
+
+@pytest.mark.parametrize(
+    ("largest", "size", "harmonics"), [(1.0, 3e-15, 3), (0.01, 3e-16, 1), (100.0, 3e-14, 1)]
+)
+def test_round_off_adds_no_harmonics(largest: float, size: float, harmonics: int) -> None:
+    """Coefficients count from 1e-15 of the largest, or of one radian."""
+    gait = sums_of_cosines(largest, size, 3)
+    assert gait is not None
+    arc = gait.arcs[0]
+    assert isinstance(arc, FourierArc)
+    assert len(arc.cos) == harmonics
 
 
 def test_nearly_closed_paths_are_replaced_by_the_nearest_closed_ones() -> None:

@@ -114,6 +114,9 @@ def test_limit_pushes_back_only_beyond_swing_and_twist() -> None:
     np.testing.assert_allclose(swung, [-10.0 * np.sin(1.2), 0.0, 0.0], atol=1e-8)
     twisted = torque_of(limit, quaternion_exp(np.array([0.0, 0.0, -1.0])))
     np.testing.assert_allclose(twisted, [0.0, 0.0, 10.0 * np.sin(1.0)], atol=1e-8)
+    # The slope of w log(1 + exp(y/w)) at y = 0 is one half.
+    at_limit = torque_of(limit, quaternion_exp(np.array([0.8, 0.0, 0.0])))
+    np.testing.assert_allclose(at_limit, [-5.0 * np.sin(0.8), 0.0, 0.0], atol=1e-8)
 
 
 def test_period_of_cosine_spring_equals_elliptic_integral() -> None:

@@ -33,16 +33,18 @@ import sys
 import tempfile
 import time
 import traceback
+import pytest
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from random import Random
 from typing import TextIO
-
-import pytest
-from mutant_session import MutantSession, is_woven
-from mutations import Mutant, mutants
+from mutant_session import MutantSession
+from mutant_session import is_woven
+from mutations import Mutant
+from mutations import mutants
 
 ROOT = Path(__file__).parents[2]
 # The tests that most likely kill a mutant.
@@ -119,6 +121,7 @@ TESTS: dict[str, list[str]] = {
         "integrators/test_steppers.py", "integrators/test_batches.py",
         "integrators/test_measured_orders.py", "integrators/test_further_method.py",
         "integrators/test_work_rows.py", "integrators/test_radau.py",
+        "integrators/test_several_quaternions.py",
     ],
     "simulation": [
         "simulation/test_balances.py", "judge/test_audit.py", "forces/test_forces.py",

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from loop_robots import crank_angles, four_bar, gripper, random_loops
+from loop_robots import crank_angles, four_bar, gripper, random_loops, sliding_bars
 from robot_texts import body, joint, link, mjcf, robot
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
@@ -33,6 +34,23 @@ def test_four_bar_has_rank_two_and_closes_in_closed_form(kind: str) -> None:
     for crank in (-2.0, 0.3, 1.5):
         scene = pinred.Scene(system=system, x0={"crank": crank}, duration=1.0)
         np.testing.assert_allclose(scene.start.x, [crank, *crank_angles(crank)], atol=1e-12)
+
+
+def test_units_of_loops_are_their_longest_arm() -> None:
+    """Lengths count in units of the longest placement, or of one metre if all are zero."""
+    lengths = {"crank": 0.3, "coupler": 0.8, "rocker": 0.7, "frame": 0.9}
+    system = pinred.load(four_bar(lengths=lengths)[0], loops="coupler_tip=rocker_tip")
+    assert loop_assembly.loop_length(system) == pytest.approx(0.9, rel=1e-15)
+    model = pin.Model()
+    root = model.addJoint(0, pin.JointModelPlanar(), pin.SE3(np.eye(3), np.ones(3)), "root")
+    model.addJoint(root, pin.JointModelRZ(), pin.SE3.Identity(), "hinge")
+    without_arms: Any = SimpleNamespace(sorted_model=model, loops=())
+    assert loop_assembly.loop_length(without_arms) == 1.0
+    slider = pinred.load(sliding_bars()[0], loops=sliding_bars()[1])
+    np.testing.assert_array_equal(loop_assembly.rate_units(slider, 0.25), [1.0, 0.25, 1.0, 1.0])
+    # The six equations of the weld are three lengths and three angles.
+    weights = loop_assembly.equation_weights(slider, 0.25)
+    np.testing.assert_array_equal(weights, [4.0, 4.0, 4.0, 1.0, 1.0, 1.0])
 
 
 @pytest.mark.parametrize("kind", KINDS)
