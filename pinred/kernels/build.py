@@ -30,69 +30,46 @@ import ctypes
 import hashlib
 import json
 import struct
+from collections.abc import Callable, Sequence
+from contextvars import ContextVar
+from dataclasses import asdict, replace
+from functools import partial
+
 import casadi as ca
 import numpy as np
-from collections.abc import Callable
-from collections.abc import Sequence
-from contextvars import ContextVar
-from dataclasses import asdict
-from dataclasses import replace
-from functools import partial
-from ..common.arrays import Array
-from ..common.arrays import central_differences
-from ..common.errors import InputError
-from ..common.errors import KernelMismatch
-from ..common.machine_code import NativeCode
-from ..common.machine_code import load_object
-from ..common.machine_code import load_objects
-from ..common.machine_code import spare_processors
+
+from ..common.arrays import Array, central_differences
+from ..common.errors import InputError, KernelMismatch
+from ..common.machine_code import NativeCode, load_object, load_objects, spare_processors
 from ..common.memo import once
-from ..common.object_cache import ObjectCache
-from ..common.object_cache import cache_key
+from ..common.object_cache import ObjectCache, cache_key
 from ..forces.force_model import ForceModel
 from ..integrators.stepping import linear_systems
 from ..integrators.stepping.intrinsics import SEEDS
-from ..lie.rotations import conjugate
-from ..lie.rotations import quaternion_product
+from ..lie.rotations import conjugate, quaternion_product
 from ..reduction.tree.articulated_sweep import sweep_jacobian
 from ..reduction.tree.body_frames import bodies_of
-from ..reduction.tree.free_bodies import NOTHING
-from ..reduction.tree.free_bodies import Freed
-from ..reduction.tree.identical_branches import Lanes
-from ..reduction.tree.identical_branches import Mark
-from ..reduction.tree.loop_constraints import GAUGE_RATE
-from ..reduction.tree.loop_constraints import needs_second_solution
-from ..reduction.tree.scalars import Mat
-from ..reduction.tree.scalars import as_column
-from ..reduction.tree.scalars import as_scalars
-from ..reduction.tree.scalars import solve_ldl
-from ..system.loops.kinematics import law_of
-from ..system.loops.kinematics import loop_ends
-from ..system.loops.kinematics import loop_jacobian
-from ..system.loops.kinematics import loop_kinematics
-from ..system.loops.kinematics import loop_values
-from ..system.loops.loop import Loop
-from ..system.system import System
-from ..system.system import nominal
-from .kernel import Kernel
-from .kernel import Structure
-from .kernel import call_value
-from .kernel import evaluate
-from .kernel import layout_of
-from .machine.native import compile_object
-from .machine.native import generate
-from .machine.native import lowered
-from .reduced_graph import ReducedGraph
-from .reference_state import ReferenceState
-from .reference_state import perturb_parameters
-from .reference_state import random_state
-from .validation import ROUND_OFF
-from .validation import explain_ill_scaling
-from .validation import require_agreement
-from .validation import trial_states
-from .validation import validate_kernel
-from .validation import validate_rate
+from ..reduction.tree.free_bodies import NOTHING, Freed
+from ..reduction.tree.identical_branches import Lanes, Mark
+from ..reduction.tree.loop_constraints import GAUGE_RATE, needs_second_solution
+from ..reduction.tree.scalars import Mat, as_column, as_scalars, solve_ldl
 from ..system.joints import axes_of
+from ..system.loops.kinematics import law_of, loop_ends, loop_jacobian, loop_kinematics, loop_values
+from ..system.loops.loop import Loop
+from ..system.system import System, nominal
+from .kernel import Kernel, Structure, call_value, evaluate, layout_of
+from .machine.native import compile_object, generate, lowered
+from .reduced_graph import ReducedGraph
+from .reference_state import ReferenceState, perturb_parameters, random_state
+from .validation import (
+    ROUND_OFF,
+    explain_ill_scaling,
+    require_agreement,
+    trial_states,
+    validate_kernel,
+    validate_rate,
+)
+
 
 def model_bytes(system: System, freed: Freed = NOTHING) -> bytes:
     """Compute a digest of all model parameters that the equations of motion depend on.

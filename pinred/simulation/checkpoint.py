@@ -15,36 +15,21 @@ import hmac
 import json
 import struct
 import time
-from collections.abc import Callable
-from collections.abc import Iterator
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
-from dataclasses import dataclass
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
-from typing import Any
-from typing import BinaryIO
-from ..common.arrays import Array
-from ..common.arrays import pack
-from ..common.arrays import read_only
-from ..common.arrays import unpack
-from ..common.errors import InputError
-from ..common.errors import OutputError
-from ..common.files import TEMPORARY
-from ..common.files import check_path
-from ..common.files import fingerprint
-from ..common.files import is_file
-from ..common.files import signing_key
-from ..common.files import write_atomic
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from ..common.arrays import Array, pack, read_only, unpack
+from ..common.errors import InputError, OutputError
+from ..common.files import TEMPORARY, check_path, fingerprint, is_file, signing_key, write_atomic
 from ..common.names import quoted_path
 from ..common.object_cache import cache_key
-from ..common.waiting import cleaning_up
-from ..common.waiting import held_interrupt
+from ..common.waiting import cleaning_up, held_interrupt
 from ..integrators.integrate import SavedRun
 
 if TYPE_CHECKING:

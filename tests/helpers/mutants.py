@@ -33,18 +33,16 @@ import sys
 import tempfile
 import time
 import traceback
-import pytest
 from contextlib import suppress
-from dataclasses import dataclass
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from random import Random
 from typing import TextIO
-from mutant_session import MutantSession
-from mutant_session import is_woven
-from mutations import Mutant
-from mutations import mutants
+
+import pytest
+from mutant_session import MutantSession, is_woven
+from mutations import Mutant, mutants
 
 ROOT = Path(__file__).parents[2]
 # The tests that most likely kill a mutant.

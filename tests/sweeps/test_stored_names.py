@@ -6,14 +6,16 @@ If a class has to move, read its former name in `pinred.sweeps.sweep_job`.
 from __future__ import annotations
 
 import pickle
-import pytest
-import pinred
+from hashlib import sha256
 from importlib import import_module
 from io import BytesIO
 from typing import Any
-from pinred.sweeps.sweep_job import StoredScene
-from hashlib import sha256
+
+import pytest
+
+import pinred
 from pinred.kernels.build import model_bytes
+from pinred.sweeps.sweep_job import StoredScene
 from pinred.sweeps.sweep_outputs import Measure
 
 STORED = {
