@@ -187,6 +187,7 @@ def shaken_motion(height: float, frequency: float, at: float) -> pinred.Trajecto
 @pytest.mark.parametrize(
     ("height", "frequency", "at"), [(0.05, 9.0, 0.0), (0.2, 8.0, 0.0), (0.1, 90.0, np.pi)]
 )
+@pytest.mark.sampled
 def test_floquet_multipliers_match_mathieu_equation(
     height: float, frequency: float, at: float
 ) -> None:

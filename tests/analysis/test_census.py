@@ -53,6 +53,8 @@ def assert_all_folded_shapes(equilibria: pinred.Equilibria, m: int) -> None:
         assert min(float(d.max()) for d in difference) < 1e-9, folds
 
 
+# Families, sliding joints and the limit of a search are counted by default.
+@pytest.mark.by_hand
 @pytest.mark.parametrize(
     ("seed", "count"), [(0, 68), pytest.param(2, 66, marks=pytest.mark.by_hand)]
 )
@@ -108,6 +110,7 @@ def test_limit_stops_search_and_is_stated() -> None:
         pinred.relative_equilibria(system, momentum=1.0, limit=0)
 
 
+@pytest.mark.by_hand("0.01")
 @pytest.mark.parametrize("beyond", [1e-2, 1e-6])
 def test_pitchfork_keeps_unstable_equilibrium(beyond: float) -> None:
     """Just above its threshold, the governor's arm lifts (stable) or hangs (unstable)."""

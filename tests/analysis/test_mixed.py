@@ -203,6 +203,7 @@ def test_bounds_of_mixed_equations_are_relative_to_values(monkeypatch: pytest.Mo
         (8, 9, 3e-10, "the energy"),
     ],
 )
+@pytest.mark.sampled
 def test_faults_of_mixed_equations_are_found(
     first: int, last: int, fault: float, what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

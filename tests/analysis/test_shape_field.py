@@ -82,6 +82,7 @@ TREES = [name for name, robot in sorted(bundled_robots().items()) if not robot.l
         for name in [*TREES, "solo12", "talos"]
     ],
 )
+@pytest.mark.sampled(3)
 def test_grid_of_robots_equals_pinocchio(name: str) -> None:
     """Bundled robots (cyclic joints, balls, one without joints), a quadruped, a humanoid."""
     if name in ("solo12", "talos"):

@@ -34,6 +34,7 @@ def torque_of(force: Force, x: Array, xdot: Array | None = None) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(6))
+@pytest.mark.sampled(3)
 def test_springs_exert_the_moments_of_their_laws(seed: int) -> None:
     """Closed forms in the axes of the child, at a random attitude relative to rest."""
     rng = np.random.default_rng(seed)

@@ -60,7 +60,7 @@ def test_attitude_has_rate_and_acceleration_of_right_jacobian(t: float) -> None:
     ("engine", "method"),
     [("compiled", "auto"), ("compiled", "Gauss(0.02, 8)"), ("pinocchio", "auto")],
 )
-@pytest.mark.sampled
+@pytest.mark.sampled(3)
 def test_torques_of_prescribed_ball_follow_from_inverse_dynamics(engine: Any, method: str) -> None:
     """Pinocchio's H a + c = τ with known accelerations of the ball gives its torques."""
     system = ball_tree(5, 2)

@@ -317,6 +317,8 @@ def test_perturbation_satisfies_couplings() -> None:
     np.testing.assert_allclose(xdot, case.G @ full.couplings.shape(xdot), atol=1e-15)
 
 
+# Trees with couplings and forces are compared by default.
+@pytest.mark.by_hand
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [
     "panda", "baxter",

@@ -167,6 +167,7 @@ def random_gains(names: tuple[str, ...], m: int, sizes: dict[str, int]) -> dict[
 
 @pytest.mark.parametrize("names", [("pose",), ("xi", "pose"), ("mu", "J")])
 @pytest.mark.parametrize("group", ["SO2", "SE2", "SO3", "SE3"])
+@pytest.mark.sampled(3)
 def test_rate_under_forces_that_depend_on_base(group: str, names: tuple[str, ...]) -> None:
     """Compared with ABA under random_gains from sums over bodies."""
     system = tree_with_hand(group)

@@ -46,6 +46,7 @@ def error(values: Any, expected: Array) -> float:
 
 @pytest.mark.parametrize("units", UNITS, ids=str)
 @pytest.mark.parametrize("kind", ["tree", "balls"])
+@pytest.mark.sampled
 def test_reduction_is_accurate_in_all_units(kind: str, units: Units) -> None:
     """Connection, metric and both Hamiltonians against the mass matrix without units."""
     system, steps, x = robot(kind, units)
@@ -89,7 +90,7 @@ def test_loop_motion_is_accurate_in_all_units(length: float) -> None:
     assert error(values[2:], -np.linalg.solve(J[:, 2:], J[:, :2])) < EXACT
 
 
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("units", UNITS, ids=str)
 @pytest.mark.parametrize("count", [1, 2, 5, 6])
 def test_wheels_are_accurate_in_all_units(count: int, units: Units) -> None:

@@ -189,6 +189,7 @@ def message_of(folder: Path, text: str, kind: type[PinredError] = PinredError) -
 
 
 @pytest.mark.parametrize(("text", "words"), STRUCTURE)
+@pytest.mark.sampled
 def test_invalid_structure_is_refused_by_reader_and_schema(
     text: str, words: str, tmp_path: Path
 ) -> None:

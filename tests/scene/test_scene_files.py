@@ -179,6 +179,7 @@ FORCE_CASES: dict[str, tuple[str, Callable[[], Force]]] = {
 
 
 @pytest.mark.parametrize("kind", FORCE_CASES)
+@pytest.mark.sampled
 def test_force_from_file_matches_python(kind: str, tmp_path: Path) -> None:
     """A force from a file gives the motion of the same force in Python."""
     text, force = FORCE_CASES[kind]
@@ -214,6 +215,7 @@ SIGNAL_CASES = {
     "engine", ["compiled", pytest.param("pinocchio", marks=pytest.mark.by_hand)]
 )
 @pytest.mark.parametrize("kind", SIGNAL_CASES)
+@pytest.mark.sampled
 def test_prescribed_signal_from_file_matches_python(kind: str, engine: str, tmp_path: Path) -> None:
     """The prescribed joint moves as with the signal in Python."""
     text, signal = SIGNAL_CASES[kind]
@@ -254,6 +256,7 @@ def test_springs_and_joints_by_name_match_python(tmp_path: Path) -> None:
         ("{ name = 'Tsit5', rtol = 1e-7 }", Tsit5(rtol=1e-7)),
     ],
 )
+@pytest.mark.sampled
 def test_method_from_file_matches_python(text: str, method: Any, tmp_path: Path) -> None:
     """The integrator of the file is the one of Python."""
     scene = pinred.load_scene(
@@ -366,7 +369,7 @@ LONG = {"cat_turns_over", "solo12_free_fall"}  # whose comparison takes several 
     ],
     ids=lambda path: path.stem,
 )
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(8)
 def test_example_passes_comparison_with_aba(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

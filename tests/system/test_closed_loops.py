@@ -185,6 +185,8 @@ URDF = (
 )
 
 
+# A mechanism that the file fixes to the world is compared with MuJoCo by hand, and with `compare`.
+@pytest.mark.by_hand
 def test_heavy_ground_moves_a_mechanism_as_a_fixed_one(tmp_path: Path) -> None:
     """The example of docs/robots.md against the closed form of a four-bar on a fixed ground."""
     page = (Path(__file__).parents[2] / "docs/robots.md").read_text("utf-8")

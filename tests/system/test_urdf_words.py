@@ -190,6 +190,7 @@ OTHERS = [entry for entry in entries() if entry.words.fate is not Fate.READ]
 
 
 @pytest.mark.parametrize("text", FILES)
+@pytest.mark.sampled
 def test_files_of_these_tests_are_read_completely(text: str) -> None:
     """They load, and nothing but limits is left out."""
     with warnings.catch_warnings():
@@ -200,6 +201,7 @@ def test_files_of_these_tests_are_read_completely(text: str) -> None:
 
 
 @pytest.mark.parametrize("entry", READ, ids=identity)
+@pytest.mark.sampled
 def test_word_that_is_read_changes_the_robot(entry: Entry) -> None:
     """Without the element or the attribute, a file that contains it states another robot."""
     path, attribute = entry.path.replace("drake:", "drake-"), entry.attribute
@@ -261,6 +263,7 @@ def with_word(entry: Entry, value: str) -> str:
 
 
 @pytest.mark.parametrize("entry", OTHERS, ids=identity)
+@pytest.mark.sampled(3)
 def test_other_words_are_reported_or_change_nothing(entry: Entry) -> None:
     """Words that are left out are listed with their line; harmless ones and neutral values not."""
     words = entry.words
