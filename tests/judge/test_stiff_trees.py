@@ -42,6 +42,14 @@ def test_error_between_report_times_cannot_tell() -> None:
     assert "between report times" in report.reasons[0]
     traj = pinred.simulate(scene, times=np.linspace(0.0, scene.end, 101))
     assert pinred.compare(traj).verdict == "FAILED"
+
+
+@pytest.mark.by_hand
+@pytest.mark.filterwarnings("ignore")
+def test_wrong_force_fails_although_errors_between_report_times_are_undecided() -> None:
+    """The coefficient of a damper is wrong by a millionth."""
+    scene = stiff_tree(104).scene
+    traj = pinred.simulate(scene, times=np.linspace(0.0, scene.end, 101))
     forces = cast(tuple[Force, ...], scene.forces)
     wrong = replace(scene, forces=[_changed(force, 1.0 + 1e-6) for force in forces])
     assert pinred.compare(pinred.Trajectory(wrong, traj.motion, traj.run)).verdict == "FAILED"

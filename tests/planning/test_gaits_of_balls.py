@@ -64,6 +64,7 @@ def test_torques_along_loop_are_those_of_rnea() -> None:
 
 
 @pytest.mark.parametrize("kind", COSTS)
+@pytest.mark.sampled
 def test_slopes_of_costs_with_balls_equal_differences(kind: CostKind) -> None:
     """All costs of a random loop of two balls, about a random centre."""
     _, _, A = tree()

@@ -350,6 +350,8 @@ def test_robot_names_cannot_inject_scripts(screen: Browser, tmp_path: Path) -> N
     assert complaints(screen) == []
 
 
+# A saved page plays offline by default.
+@pytest.mark.by_hand
 def test_page_continues_without_player(screen: Browser) -> None:
     """An open page plays after its server has ended."""
     traj = pinred.simulate(pinred.load("elroys_beanie"), duration=1.0)

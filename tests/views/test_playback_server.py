@@ -210,6 +210,7 @@ def test_bad_input_is_reported_in_one_line(
 
 
 @pytest.mark.parametrize("robot", ["satellite_two_arms", "cartpole", "four_bar", "pendulum.xml"])
+@pytest.mark.sampled
 def test_play_command_shows_a_robot_at_rest(
     robot: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
