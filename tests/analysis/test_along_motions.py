@@ -75,6 +75,8 @@ def test_linearise_includes_dampers_and_time_dependent_forces() -> None:
         pinred.linearise(shape, 0.1)
 
 
+# Multipliers of Mathieu's equation check tangent directions by default.
+@pytest.mark.by_hand
 def test_tangent_directions_match_separation_of_aba_motions() -> None:
     """A tangent direction after 3 s equals the difference of two ABA runs."""
     traj = chaotic_motion(3.0)
@@ -187,7 +189,6 @@ def shaken_motion(height: float, frequency: float, at: float) -> pinred.Trajecto
 @pytest.mark.parametrize(
     ("height", "frequency", "at"), [(0.05, 9.0, 0.0), (0.2, 8.0, 0.0), (0.1, 90.0, np.pi)]
 )
-@pytest.mark.sampled
 def test_floquet_multipliers_match_mathieu_equation(
     height: float, frequency: float, at: float
 ) -> None:

@@ -54,7 +54,7 @@ def test_index_is_odd_exactly_if_growing_modes_are_odd(group: str, joints: int, 
                 assert equilibrium.stability.index in (0, 2) if group == "SO3" else True
 
 
-# The next test but one conserves the second variation.
+# A further test conserves the second variation.
 @pytest.mark.by_hand
 def test_positive_second_variation_is_energy_minimum() -> None:
     """At the minimum, each small change of the reduced state on its leaf raises the energy."""

@@ -126,7 +126,6 @@ def random_state(rng: np.random.Generator) -> tuple[Array, Array, float]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.sampled
 def test_actuator_of_each_kind_matches_mujoco(kind: str) -> None:
     """Forces and accelerations agree with MuJoCo at random states and controls."""
     head = '<compiler angle="radian" autolimits="true"/>'

@@ -106,6 +106,8 @@ def thrust(r: int) -> tuple[Wrench, Any]:
     return Wrench(lambda t, x, *_: wrench(ca.sin, t, x)), lambda t, x: wrench(np.sin, t, x)
 
 
+# Wrenches from tables, and those on links, are compared with ABA by default.
+@pytest.mark.by_hand
 @pytest.mark.slow
 @settings(max_examples=3)
 @given(groups, seeds)

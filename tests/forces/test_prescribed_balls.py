@@ -120,6 +120,8 @@ def triple(axes: str) -> System:
     return System(model, "triple")
 
 
+# Inverse dynamics and ABA confirm the motion of prescribed balls by default.
+@pytest.mark.by_hand
 def test_prescribed_ball_moves_the_base_as_hinge_triple_does() -> None:
     """exp(θ cos β, θ sin β, 0) = R_z(β) R_x(θ) R_z(−β): same base, and the same power."""
     theta, beta = "(0.8 + 0.3*sin(2*t))", "(1.5*t)"

@@ -364,6 +364,8 @@ def test_jump_at_one_step_end_fails_defects(size: float, torque: float) -> None:
     assert report.defect_bound == pytest.approx(3.0 * TIGHT)
 
 
+# Further tests check the rule, and the impulse of a force.
+@pytest.mark.by_hand
 def test_step_in_flank_of_pulse_may_exceed_bound() -> None:
     """Equal steps of DOP853 miss the pulse by tens of tolerances, and an added jump fails."""
 

@@ -33,6 +33,8 @@ def test_compare_passes_for_bundled_robot(name: str) -> None:
     assert report.reference_error < 1e-9 * report.growth[-1]
 
 
+# Bundled robots and random trees are compared by default.
+@pytest.mark.by_hand
 @pytest.mark.slow
 @pytest.mark.skipif(not has_example_robots(), reason="needs example-robot-data")
 @pytest.mark.parametrize("name", sorted(EXAMPLES))

@@ -134,6 +134,8 @@ def test_loops_that_fix_all_joints_are_refused() -> None:
         pinred.load(four_bar()[0], loops="coupler_tip=rocker_tip:6d")
 
 
+# Redundant equations of one planar loop are found by default.
+@pytest.mark.by_hand
 def test_redundant_equations_over_several_loops_are_found() -> None:
     """A second loop beside the first adds no independent equations."""
     model, loops = four_bar()
@@ -185,7 +187,7 @@ URDF = (
 )
 
 
-# A mechanism that the file fixes to the world is compared with MuJoCo by hand, and with `compare`.
+# A mechanism on a heavy base is compared with MuJoCo by default.
 @pytest.mark.by_hand
 def test_heavy_ground_moves_a_mechanism_as_a_fixed_one(tmp_path: Path) -> None:
     """The example of docs/robots.md against the closed form of a four-bar on a fixed ground."""

@@ -261,7 +261,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("table", "key"), WORDS)
-@pytest.mark.sampled(4)
+@pytest.mark.sampled
 def test_word_is_honoured_reported_or_harmless(folder: Path, table: str, key: str) -> None:
     """A file with the word differs from the same file without it as the table says."""
     word = TABLES[table][key]

@@ -262,7 +262,6 @@ CLOSINGS = {
 
 
 @pytest.mark.parametrize("case", CLOSINGS)
-@pytest.mark.sampled
 def test_four_bar_of_a_file_moves_as_a_parallelogram(case: str, tmp_path: Path) -> None:
     """Kinetic energy in closed form: the top bar translates, and both sides turn alike."""
     text, name, equations = CLOSINGS[case]

@@ -190,7 +190,6 @@ OTHERS = [entry for entry in entries() if entry.words.fate is not Fate.READ]
 
 
 @pytest.mark.parametrize("text", FILES)
-@pytest.mark.sampled
 def test_files_of_these_tests_are_read_completely(text: str) -> None:
     """They load, and nothing but limits is left out."""
     with warnings.catch_warnings():
@@ -201,7 +200,6 @@ def test_files_of_these_tests_are_read_completely(text: str) -> None:
 
 
 @pytest.mark.parametrize("entry", READ, ids=identity)
-@pytest.mark.sampled
 def test_word_that_is_read_changes_the_robot(entry: Entry) -> None:
     """Without the element or the attribute, a file that contains it states another robot."""
     path, attribute = entry.path.replace("drake:", "drake-"), entry.attribute

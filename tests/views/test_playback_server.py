@@ -120,6 +120,8 @@ def test_play_waits_in_scripts_only(capsys: pytest.CaptureFixture[str]) -> None:
         assert b"elroys_beanie" in body
 
 
+# Ctrl-C during `play` in one process is tried by default.
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_ctrl_c_ends_play_command(tmp_path: Path) -> None:
     """`pinred play` serves until Ctrl-C and ends with exit code 0."""
