@@ -13,8 +13,8 @@ from pinred.lie import GROUPS
 from pinred.reduction.tree.all_joints import height
 
 
+@pytest.mark.by_hand("SO2", "SO3", "RxSE2")
 @pytest.mark.parametrize("group", GROUPS)
-@pytest.mark.sampled
 def test_heights_of_links_are_pinocchios(group: str) -> None:
     """Frames on hinges, slides and balls, with the gravity of the model and without any."""
     rng = np.random.default_rng(5)
