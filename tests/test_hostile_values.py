@@ -115,6 +115,7 @@ def test_public_callables_raise_no_foreign_exceptions(every: int) -> None:
         ("pinred.load", "lock", {"\ud800": 0.0}),
     ],
 )
+@pytest.mark.sampled(3)
 def test_calls_that_were_tracebacks_are_refused_or_sensible(
     name: str, key: str, value: object
 ) -> None:

@@ -112,6 +112,7 @@ LONG = (
     [pytest.param(path, marks=[pytest.mark.by_hand] * (path.stem in LONG)) for path in WRITTEN],
     ids=lambda path: path.stem,
 )
+@pytest.mark.sampled
 def test_code_of_page_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The Python blocks of a page run in order, with their assertions."""
     if path.stem == "legged_robots" and not has_example_robots():

@@ -13,6 +13,7 @@ because a large slow term would hide a short pulse.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import reduce
 from itertools import product
 from math import prod
 from typing import Any, NamedTuple, TypeAlias
@@ -124,19 +125,21 @@ _POINTS: dict[int, Callable[..., Any]] = {
 def _wider(low: Any, high: Any) -> Interval:
     """Return an interval widened by round-off; a NaN bound becomes infinite."""
     low, high = low - _WIDER * np.abs(low), high + _WIDER * np.abs(high)
-    return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
+    return np.fmax(low, -np.inf), np.fmin(high, np.inf)
 
 
 def _hull(*values: Any) -> Interval:
     """Return the interval that the values span."""
-    rows = np.stack(np.broadcast_arrays(*values))
-    return _wider(rows.min(axis=0), rows.max(axis=0))
+    return _wider(reduce(np.minimum, values), reduce(np.maximum, values))
 
 
 def _product(a: Interval, b: Interval) -> Interval:
-    products = (np.multiply(x, y) for x in a for y in b)
-    # Zero times infinity is zero: infinity only states that there is no bound.
-    return _hull(*(np.where(np.isnan(value), 0.0, value) for value in products))
+    products = [np.multiply(x, y) for x in a for y in (b[:1] if b[0] is b[1] else b)]
+    low, high = reduce(np.minimum, products), reduce(np.maximum, products)
+    if np.isnan(low).any():
+        # Zero times infinity is zero: infinity only states that there is no bound.
+        return _hull(*(np.where(np.isnan(value), 0.0, value) for value in products))
+    return _wider(low, high)
 
 
 def _inverse(a: Interval) -> Interval:

@@ -75,6 +75,8 @@ def test_linearise_includes_dampers_and_time_dependent_forces() -> None:
         pinred.linearise(shape, 0.1)
 
 
+# Multipliers of Mathieu's equation check tangent directions by default.
+@pytest.mark.by_hand
 def test_tangent_directions_match_separation_of_aba_motions() -> None:
     """A tangent direction after 3 s equals the difference of two ABA runs."""
     traj = chaotic_motion(3.0)

@@ -130,6 +130,7 @@ SECOND = np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040.0
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.sampled
 def test_gradient_and_hessian_agree_with_differences(kind: str) -> None:
     """Along all unknowns and all sums of two of them, by differences of order 8."""
     made, J = problem(kind), 1.7

@@ -77,6 +77,7 @@ def test_growth_beyond_ten_errors_is_unstable(
     assert (again.verdict == "unstable") == (name == "unstable")
 
 
+@pytest.mark.by_hand("0.001")
 @pytest.mark.parametrize("part", [1e-7, 4e-6, 1e-3])
 def test_curvatures_above_1e_7_are_not_flat(part: float) -> None:
     """A curvature above 1e-7 of the largest does not count as a family direction."""

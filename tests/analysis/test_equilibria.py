@@ -158,6 +158,8 @@ def test_three_rods_have_four_equilibrium_shapes() -> None:
     assert_steady(equilibria)
 
 
+# Gyrostats and the dual-spin satellite have closed forms, too.
+@pytest.mark.by_hand
 def test_reaction_wheels_have_eight_equilibria() -> None:
     """J = 0.5, π = (0.3, −0.2, 0.4): no two of the eight are opposite directions."""
     system = pinred.load("reaction_wheel_satellite")
@@ -177,6 +179,7 @@ def test_reaction_wheels_have_eight_equilibria() -> None:
 
 
 @pytest.mark.parametrize("rate", [-4.0, -0.5, 0.7, 6.0])
+@pytest.mark.sampled
 def test_gyrostat_matches_closed_form(rate: float) -> None:
     """s² = −Ω²(λ − I₁)(λ − I₃)/(I₁I₃), λ = I₂ + h/Ω, for a rotor driven about axis 2."""
     I, J, spin = (0.9, 1.3, 1.1), 1.5, 0.03
@@ -307,6 +310,8 @@ def test_heavy_pivoted_tree_is_steady() -> None:
     assert_steady(equilibria)
 
 
+# Gyrostats without gravity, and heavy trees without rotors, are judged by default.
+@pytest.mark.by_hand
 def test_heavy_gyrostat_with_free_and_driven_rotor() -> None:
     """A rotor and an arm on a pivot under gravity; the rotor is free, then driven."""
     model = pin.Model()
@@ -416,6 +421,8 @@ def test_zero_momentum_with_rotor_has_no_modes() -> None:
     assert only.xdot[0] == pytest.approx(0.4 / (0.03 - 0.03**2 / 1.3), rel=1e-12)
 
 
+# A ball at very small and large momenta is judged by default.
+@pytest.mark.by_hand
 @pytest.mark.parametrize(
     "J", [1e-9, 1e12, *(pytest.param(J, marks=pytest.mark.by_hand) for J in (1e-3, 1.0, 1e6))]
 )

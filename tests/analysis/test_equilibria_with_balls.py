@@ -119,6 +119,8 @@ def accelerations(found: Any, torque: Array) -> Array:
     return np.asarray(pin.aba(model, model.createData(), q, v, torque))
 
 
+# The amended potential and its derivatives are compared with Pinocchio by default.
+@pytest.mark.by_hand
 def test_sprung_bodies_rotate_uniformly_and_include_minimum_by_scipy() -> None:
     """Pinocchio's accelerations vanish, and SciPy minimises the same amended potential."""
     system, J = joined_bodies(), 1.0
@@ -248,6 +250,8 @@ def test_half_turns_of_child_are_coverings() -> None:
     assert all(np.ptp(np.abs(s.balls[0].left)) == pytest.approx(1.0) for s in coverings)
 
 
+# Two bodies at one centre of mass have Euler's frequencies by default.
+@pytest.mark.by_hand
 def test_body_with_spherical_rotor_is_as_stable_as_without() -> None:
     """The body moves as if alone, and the momentum of the rotor precesses at the spin ω."""
     moments, masses, rotor = np.array([[0.4, 0.5, 0.7], [0.2, 0.2, 0.2]]), (2.0, 1.0), 0.2

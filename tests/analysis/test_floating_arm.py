@@ -41,6 +41,7 @@ def gait_of(m: int) -> pinred.Gait:
 
 
 @ARMS
+@pytest.mark.sampled
 def test_jacobian_matches_hand_motion_of_simulation(make: object) -> None:
     """The integral of J_g ẋ gives the hand motion of a simulation to 1e-9."""
     arm: pinred.FloatingArm = make()  # type: ignore[operator]

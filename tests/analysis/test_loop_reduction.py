@@ -48,6 +48,7 @@ def derivative(function: Callable[[Array], Array], u: Array, h: float = 2e-3) ->
 
 
 @pytest.mark.parametrize("robot", ["five-bar", "in space", "redundant"])
+@pytest.mark.sampled
 def test_curvature_and_derivatives_equal_differences(robot: str) -> None:
     """GᵀBG is the curvature of A G, and all derivatives contain that of G."""
     model, loops = ROBOTS[robot]()
@@ -296,6 +297,7 @@ def test_charts_that_do_not_fit_are_refused_by_name() -> None:
 @pytest.mark.parametrize(
     "robot", ["five-bar", "redundant", pytest.param("in space", marks=pytest.mark.by_hand)]
 )
+@pytest.mark.sampled
 def test_shapes_of_a_batch_equal_those_followed_one_by_one(robot: str) -> None:
     """CasADi's loops agree with Pinocchio's, also for G and for its derivatives."""
     model, loops = ROBOTS[robot]()

@@ -125,6 +125,7 @@ def test_page_lists_exactly_the_functions_tested_here() -> None:
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[pytest.mark.by_hand] * (n in SLOW)) for n in SUPPORTED]
 )
+@pytest.mark.sampled
 def test_supported_functions_accept_loops(name: str) -> None:
     """Each function runs on a robot with loops; further tests compare its results."""
     assert SUPPORTED[name]() is not None

@@ -47,6 +47,7 @@ def bending_gait(beta: float, harmonics: int = 48) -> Gait:
 @pytest.mark.parametrize(
     ("k", "beta"), [(0.25, np.radians(59.42646)), (0.25, 0.7), (0.6, 1.2), (1.4, 0.5)]
 )
+@pytest.mark.sampled
 def test_falling_cat_matches_closed_form_roll(k: float, beta: float) -> None:
     """The net roll per cycle is 2π (k c/(k c² + s²) − 1), c = cos β/2, s = sin β/2."""
     p = pinred.phase(pinred.Connection.mechanical(two_halves(k)), bending_gait(beta))

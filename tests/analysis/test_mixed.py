@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
+import pinred
+from collections.abc import Callable
+from typing import Any
 from assertions import close
 from lifts import random_gait
 from scipy.integrate import solve_ivp
-
-import pinred
 from pinred.analysis.connections import mixed
 from pinred.common.arrays import Array
 from pinred.kernels.kernel import evaluate
@@ -203,6 +201,7 @@ def test_bounds_of_mixed_equations_are_relative_to_values(monkeypatch: pytest.Mo
         (8, 9, 3e-10, "the energy"),
     ],
 )
+@pytest.mark.sampled
 def test_faults_of_mixed_equations_are_found(
     first: int, last: int, fault: float, what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -38,6 +38,7 @@ def test_one_cyclic_joint_with_a_stop_beside_one_without() -> None:
     np.testing.assert_allclose(monodromy, [[1.0, 2.0 * 1.5], [0.0, 1.0]], atol=1e-12)
 
 
+@pytest.mark.by_hand("0.6")
 @pytest.mark.parametrize("restitution", [0.6, 0.9])
 def test_driven_impact_oscillator_has_the_closed_form(restitution: float) -> None:
     """A spring, a force of frequency Ω, and one impact in each period T = 2π/Ω.

@@ -122,6 +122,7 @@ def two_links(first: pin.JointModel, ratio: float) -> pinred.System:
         (pin.JointModelPX(), 1.0, False),
     ],
 )
+@pytest.mark.sampled
 def test_only_turns_that_restore_the_robot_are_accepted(
     first: pin.JointModel, ratio: float, fine: bool
 ) -> None:

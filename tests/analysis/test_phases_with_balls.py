@@ -162,6 +162,8 @@ def test_slopes_of_phase_with_balls_equal_differences() -> None:
         )
 
 
+# Phases of the pair and of trees with balls have references by default.
+@pytest.mark.by_hand
 def test_surface_integral_with_ball_is_phase_of_commutative_group() -> None:
     """Stokes' theorem on SO(2), over the disc of a gait of rotation vectors."""
     system = ball_tree(5, 1, "SO2")

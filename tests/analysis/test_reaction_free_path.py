@@ -26,6 +26,12 @@ def satellite() -> pinred.FloatingArm:
 
 
 @cache
+def free_path() -> pinred.ReactionFreePath:
+    """Return a path of the satellite without limits."""
+    return satellite().reaction_free_path(START, FIRST, length=1.0)
+
+
+@cache
 def planar() -> pinred.FloatingArm:
     """Two links in the plane: one direction is free of reactions."""
     return pinred.FloatingArm(pinred.load("floating_arm"), "hand")
@@ -79,7 +85,7 @@ def test_base_keeps_its_attitude_along_the_path(
 def test_path_is_the_straightest() -> None:
     """The change of the direction is orthogonal to the null space, by differences to 1e-5."""
     arm = satellite()
-    path = arm.reaction_free_path(START, FIRST, length=1.0)
+    path = free_path()
     free = arm.null_space(START, of="attitude")
     _, slope = path.at(0.0)
     close(
@@ -111,19 +117,18 @@ def test_path_on_which_the_base_stays_in_place() -> None:
 def test_path_ends_at_the_limits_of_the_file_or_stated_ones() -> None:
     """The joint that reaches its limit is named."""
     arm = satellite()
-    free = arm.reaction_free_path(START, FIRST, length=2.0)
-    k = int(np.argmax(free.at(1.0)[0] - START))
+    k = int(np.argmax(free_path().at(1.0)[0] - START))
     limits = [(-9.0, 9.0)] * 6
     limits[k] = -9.0, START[k] + 0.2
-    path = arm.reaction_free_path(START, FIRST, length=2.0, limits=limits)
+    path = arm.reaction_free_path(START, FIRST, length=1.0, limits=limits)
     assert path.stop == f"limit of {arm.system.shape_names[k]}"
     assert path.at(1.0)[0][k] == pytest.approx(START[k] + 0.2, abs=1e-10)
-    assert path.length < 2.0
+    assert path.length < 1.0
     limits[k] = START[k] + 0.1, 9.0
     with pytest.raises(InputError, match=f"x0: joint '{arm.system.shape_names[k]}' must lie"):
         arm.reaction_free_path(START, FIRST, limits=limits)
     ur5 = pinred.FloatingArm(pinred.load("ur5", gravity=[0.0, 0.0, 0.0]), "tool0")
-    path = ur5.reaction_free_path([0.1, -1, 1, 0.2, 0.5, 0.3], FIRST)
+    path = ur5.reaction_free_path([0.1, -1, 2.5, 0.2, 0.5, 0.3], FIRST)
     assert path.stop == "limit of elbow_joint"
     assert abs(path.at(1.0)[0][2]) == pytest.approx(3.141593, abs=1e-6)
 

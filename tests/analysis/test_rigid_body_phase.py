@@ -56,6 +56,7 @@ def test_rigid_body_phase_matches_known_numbers() -> None:
         [0.01, 1.0, 0.0],
     ],
 )
+@pytest.mark.sampled
 def test_rigid_body_phase_matches_euler_equations(omega: list[float]) -> None:
     """After one period the rates return, and the body has rotated about J by the angle."""
     w = np.array(omega)
@@ -135,6 +136,7 @@ def turned_body(moments: ArrayLike, R: Array) -> pinred.System:
         ((1.0, 1.0, 1.6), (0.6, 0.8, 0.0)),
     ],
 )
+@pytest.mark.sampled(3)
 def test_round_off_of_turned_body_makes_no_period(
     moments: tuple[float, ...], omega: tuple[float, ...]
 ) -> None:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import re
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 import pytest
-from commands import python
-from hypothesis import given, settings
-from strategies import Case, cases
-from trees import random_model
-
 import pinred
+from typing import Any
+from commands import python
+from hypothesis import given
+from hypothesis import settings
+from strategies import Case
+from strategies import cases
+from trees import random_model
 from pinred.analysis.connections import shape_field
 from pinred.common.arrays import Array
 from pinred.kernels import kernel as kernels
@@ -82,6 +82,7 @@ TREES = [name for name, robot in sorted(bundled_robots().items()) if not robot.l
         for name in [*TREES, "solo12", "talos"]
     ],
 )
+@pytest.mark.sampled(3)
 def test_grid_of_robots_equals_pinocchio(name: str) -> None:
     """Bundled robots (cyclic joints, balls, one without joints), a quadruped, a humanoid."""
     if name in ("solo12", "talos"):

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
+import pinred
+from pathlib import Path
+from hypothesis import given
+from hypothesis import settings
 from hypothesis import strategies as st
 from strategies import seeds
 from trees import random_model
-
-import pinred
 from pinred.analysis.equilibria.equilibrium_problem import Points
 from pinred.analysis.equilibria.find import flow_at
 from pinred.analysis.equilibria.relative_equilibrium import RelativeEquilibrium
@@ -54,6 +53,8 @@ def test_index_is_odd_exactly_if_growing_modes_are_odd(group: str, joints: int, 
                 assert equilibrium.stability.index in (0, 2) if group == "SO3" else True
 
 
+# A further test conserves the second variation.
+@pytest.mark.by_hand
 def test_positive_second_variation_is_energy_minimum() -> None:
     """At the minimum, each small change of the reduced state on its leaf raises the energy."""
     cat = pinred.load("planar_chain5")

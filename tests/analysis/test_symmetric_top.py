@@ -69,7 +69,7 @@ def test_sleeping_top_is_stable_above_threshold() -> None:
 
 
 @pytest.mark.parametrize("momentum", [-2.0, 0.0, 0.6, 5.0])
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_sleeping_gyrostat_is_stable_above_threshold(momentum: float) -> None:
     """The threshold is (I₃ ω + h)² = 4 m g l I₁ for any rotor momentum h."""
     system = heavy_gyrostat()
@@ -136,6 +136,7 @@ def test_asymmetric_top_is_undecided(changes: dict[str, float]) -> None:
     assert len(top.frequencies) == 2
 
 
+@pytest.mark.by_hand("1.0")
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
 def test_threshold_is_independent_of_units(unit: float) -> None:
     """Very light and very heavy tops have the same threshold in scaled units."""

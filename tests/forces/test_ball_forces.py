@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 import pytest
-from ball_trees import ball_tree, joined_bodies
-from scipy.special import ellipk
-
 import pinred
+from typing import Any
+from ball_trees import ball_tree
+from ball_trees import joined_bodies
+from scipy.special import ellipk
 from pinred import InputError
 from pinred.common.arrays import Array
-from pinred.forces import PD, BallLimit, BallPD, BallSpring, Damper, Force, PotentialEnergy
+from pinred.forces import PD
+from pinred.forces import BallLimit
+from pinred.forces import BallPD
+from pinred.forces import BallSpring
+from pinred.forces import Damper
+from pinred.forces import Force
+from pinred.forces import PotentialEnergy
 from pinred.forces.force_model import ForceModel
 from pinred.forces.force_numbers import ForceInputs
-from pinred.lie.rotations import quaternion_exp, rotation
+from pinred.lie.rotations import quaternion_exp
+from pinred.lie.rotations import rotation
 from pinred.signals import Attitude
 from pinred.system.system import System
 
@@ -34,6 +40,7 @@ def torque_of(force: Force, x: Array, xdot: Array | None = None) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(6))
+@pytest.mark.sampled(3)
 def test_springs_exert_the_moments_of_their_laws(seed: int) -> None:
     """Closed forms in the axes of the child, at a random attitude relative to rest."""
     rng = np.random.default_rng(seed)

@@ -137,6 +137,8 @@ def test_wrench_and_torque_that_see_base_and_balls_equal_aba(axes: Any) -> None:
     assert against_aba(traj, tau) < 1e-6
 
 
+# Flows with balls are differentiated in test_prescribed_balls.py.
+@pytest.mark.by_hand
 def test_flow_differentiates_forces_that_see_base_and_balls() -> None:
     """The Jacobian agrees with differences of simulations."""
     system = ball_tree(11, 2)

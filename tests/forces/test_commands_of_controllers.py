@@ -24,6 +24,7 @@ BRICK = pinred.load("reaction_wheel_satellite", lock=(*WHEELS, "panel_hinge"))
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.sampled
 def test_pulses_equal_closed_form(engine: Engine) -> None:
     """A push with a width each second: p and v follow constant forces during the pulses."""
     widths = [0.25, 0.0, 1.0, 7.0]
@@ -71,6 +72,7 @@ def add_positions(_: float, state: list[float], seen: SeenState) -> tuple[list[f
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.sampled
 def test_controller_state_equals_closed_form(engine: Engine) -> None:
     """The recursion x⁺ = x + v T + a T²/2, v⁺ = v + a T with a = −(3/2) Σ x."""
     state0 = [0.5]

@@ -25,7 +25,7 @@ GOAL = np.array([1.0, -0.4, 0.8, 0.5, -0.6, -0.2])
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("limit", ["hard", "smooth", pytest.param(None, marks=pytest.mark.by_hand)])
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_pd_equals_aba(limit: str | None, engine: Engine) -> None:
     """PD to a fixed shape and along a plan, within limits, against ABA under the same law."""
     most = dict(zip(ARMS, [0.5, 0.6, 0.7, 0.8, 0.9, 1.0], strict=True))
@@ -63,6 +63,8 @@ def test_pd_equals_aba(limit: str | None, engine: Engine) -> None:
     np.testing.assert_allclose(about, 0.0, atol=1e-12)
 
 
+# PD control under limits is compared with ABA, and this judge passes a PD law on balls.
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_compare_passes_with_pd() -> None:
     """With hard limits that are active."""
@@ -84,7 +86,7 @@ def closed_form(error: float, rate: float, kp: float, kd: float, t: Array) -> Ar
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("group", GROUPS)
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(8)
 def test_computed_torque_error_equals_closed_form(group: str, engine: Engine) -> None:
     """ë + kd ė + kp e = 0 per joint, with springs, dampers, gravity and prescribed joints."""
     # About the vertical, gravity acts on the shape.
@@ -194,6 +196,8 @@ def test_two_controllers_with_a_table() -> None:
     assert work == pytest.approx(0.2 * (traj.x[-1, 1] - traj.x[0, 1]), abs=1e-9)
 
 
+# Controllers are compared with ABA and with closed forms of their recursions.
+@pytest.mark.by_hand
 def test_fast_controller_approaches_continuous_damper() -> None:
     """A thousand samples of a damper."""
     system = pinred.load("elroys_beanie")
@@ -223,6 +227,7 @@ def test_fast_controller_approaches_continuous_damper() -> None:
         ({"nose": 1.0}, "returned a torque for 'nose' at t = 0.5 s; its joints are beanie"),
     ],
 )
+@pytest.mark.sampled
 def test_invalid_controller_results_are_rejected(gives: Any, message: str, engine: Engine) -> None:
     """The message has the result and the time."""
     controller = Controller(lambda t, *_: [0.0] if t < 0.4 else gives, 0.5)

@@ -213,6 +213,7 @@ AT = (0.7, -1.25, 2.5)
         (" + ".join(["t"] * 400), 280.0),
     ],
 )
+@pytest.mark.sampled
 def test_documented_grammar_has_pythons_meaning(text: str, expected: float) -> None:
     """Each construct of the documentation has the value it has in Python."""
     value = parse(text, GIVEN)

@@ -30,6 +30,7 @@ I1, I2 = 2.0, 1.0  # of elroys_beanie
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("c", [0.3, pytest.param(1.5, marks=pytest.mark.by_hand)])
+@pytest.mark.sampled
 def test_damped_spring_equals_closed_form(c: float, engine: Engine) -> None:
     """M ẍ + c ẋ + k x = 0 with M = I1 I2/(I1+I2): decay c/2M, frequency √(k/M − (c/2M)²)."""
     k, x0, v0 = 3.0, 0.7, -0.4
@@ -105,6 +106,8 @@ def thrust(r: int) -> tuple[Wrench, Any]:
     return Wrench(lambda t, x, *_: wrench(ca.sin, t, x)), lambda t, x: wrench(np.sin, t, x)
 
 
+# Wrenches from tables, and those on links, are compared with ABA by default.
+@pytest.mark.by_hand
 @pytest.mark.slow
 @settings(max_examples=3)
 @given(groups, seeds)
@@ -136,7 +139,7 @@ def test_wrench_on_random_trees_equals_aba(group: str, seed: int) -> None:
 # RxSE2 has the same factor.
 @pytest.mark.by_hand("SE2")
 @pytest.mark.parametrize("group", GROUPS)
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_wrench_from_tables_equals_aba(group: str) -> None:
     """Signals with jumps and kinks, on a pushed and falling tree of every group."""
     system = tree(group, 2, 11)
@@ -187,6 +190,7 @@ def test_detumbling_equals_closed_form(engine: Engine) -> None:
 
 
 @pytest.mark.parametrize("group", ["R", "SO2"])
+@pytest.mark.sampled
 def test_push_equals_closed_form(group: str) -> None:
     """A constant force moves the CoM along R; a constant moment adds to J of SO(2)."""
     system = pinred.load(random_model(group, 1, 3))
@@ -204,6 +208,7 @@ def test_push_equals_closed_form(group: str) -> None:
         (climbing_joint(), pin.JointModelPZ(), [0.8, 0.0, 0.0, 0.0]),
     ],
 )
+@pytest.mark.sampled
 def test_push_along_free_slide(
     root: pin.JointModel, along: pin.JointModel, push: list[float], engine: Engine
 ) -> None:
@@ -227,7 +232,7 @@ def test_push_along_free_slide(
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("kind", [Spline, Hold, pytest.param(Linear, marks=pytest.mark.by_hand)])
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_torque_from_table_equals_aba(kind: Any, engine: Engine) -> None:
     """ABA stops at every entry; report times lie on the entries, too."""
     system = pinred.load("planar_chain5")

@@ -57,7 +57,7 @@ def weights(system: pinred.System) -> dict[str, Array]:
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("group", GROUPS)
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 def test_torques_of_base_equal_aba(group: str, engine: Engine) -> None:
     """Pose, twist and both momenta for every group, under gravity."""
     system, names = tree(group, 2, 5), ("pose", "xi", "mu", "J")
@@ -94,7 +94,7 @@ LOADS = {
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("axes", LOADS)
 @pytest.mark.parametrize("group", GROUPS)
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(7)
 def test_wrenches_on_links_equal_jacobians(group: str, axes: Any, engine: Engine) -> None:
     """At a point of the last link, in its axes or the world's: τ = Jᵀ (F, N)."""
     bare = tree(group, 3, 5).model
@@ -241,6 +241,7 @@ def test_forces_of_base_need_base() -> None:
 @pytest.mark.parametrize("axes", ["body", "world"])
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.sampled(4)
 def test_wrench_on_follower_link_acts_on_leader(group: str, axes: Any, seed: int) -> None:
     """Through couplings: Gᵀ Jᵀ (F, N)."""
     case = make_case(group, 4, seed)

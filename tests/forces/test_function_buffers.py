@@ -40,6 +40,7 @@ def test_buffers_read_a_shared_array() -> None:
     assert buffers.outputs[2][:, 0].tolist() == [5.0, 6.0, 7.0]
 
 
+@pytest.mark.by_hand("255")
 @pytest.mark.parametrize("count", [1, 255, 256, 700])
 def test_evaluation_at_all_arguments_equals_single_evaluations(count: int) -> None:
     """Also for arguments that all evaluations share, and across several runs."""

@@ -73,6 +73,7 @@ NAMED: dict[str, tuple[Force, Any]] = {
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("name", NAMED)
+@pytest.mark.sampled
 def test_forces_by_name_equal_aba(name: str, engine: Engine) -> None:
     """The same law in Pinocchio's own indices gives the same motion."""
     force, tau = NAMED[name]

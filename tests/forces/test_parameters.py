@@ -50,6 +50,7 @@ def two_equal_values(k: Any) -> list[Any]:
         },
     ],
 )
+@pytest.mark.sampled
 def test_parameter_equals_its_number(make: Any) -> None:
     """In every place where a number is allowed, the motion is equal."""
     number = end(**make(0.7))
@@ -120,6 +121,7 @@ function = { bend = "-gain*x['bend']" }
 
 
 @pytest.mark.parametrize("count", [10, 40])
+@pytest.mark.sampled
 def test_table_of_parameters_passes_kernel_validation(count: int) -> None:
     """A kernel of steep pieces is validated at reasonable numbers."""
     knots = [Parameter(f"knot {k}", 0.1 * (-1) ** k) for k in range(count)]

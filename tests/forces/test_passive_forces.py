@@ -49,6 +49,7 @@ def error(system: pinred.System, forces: tuple[Force, ...], judge: MujocoForces)
 
 
 @pytest.mark.parametrize("seed", range(12))
+@pytest.mark.sampled(3)
 def test_springs_and_dampers_equal_mujoco(seed: int) -> None:
     """With polynomials, springref and ref, of hinges and slides, at random states."""
     text = passive_tree(seed)
@@ -71,6 +72,7 @@ def _planted(force: Force, what: str) -> Force:
 
 
 @pytest.mark.parametrize("what", ["rest", "sign", "power"])
+@pytest.mark.sampled
 def test_planted_errors_are_detected(what: str) -> None:
     """A wrong rest position, a negative damper, a power wrong by a thousandth."""
     text = passive_tree(3)
@@ -144,6 +146,7 @@ def sliders(dynamics: str) -> pinred.System:
 
 
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
+@pytest.mark.sampled
 def test_friction_equals_closed_form(engine: Any) -> None:
     """For M v̇ = −f tanh(v/w), sinh(v/w) = exp(−f t/(M w)) from 3 w down to w/100."""
     system = sliders('<dynamics friction="0.5"/>')

@@ -118,7 +118,7 @@ def full_motion(scene: pinred.Scene, driven: list[int]) -> Array:
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("momentum", [False, True])
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_fully_prescribed_shape_is_reconstruction(momentum: bool, engine: Engine) -> None:
     """Only the orientation is integrated, by ξ = I⁻¹μ − A ẋ."""
     system = pinred.load("falling_cat")

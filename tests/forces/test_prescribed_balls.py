@@ -60,7 +60,7 @@ def test_attitude_has_rate_and_acceleration_of_right_jacobian(t: float) -> None:
     ("engine", "method"),
     [("compiled", "auto"), ("compiled", "Gauss(0.02, 8)"), ("pinocchio", "auto")],
 )
-@pytest.mark.sampled
+@pytest.mark.sampled(3)
 def test_torques_of_prescribed_ball_follow_from_inverse_dynamics(engine: Any, method: str) -> None:
     """Pinocchio's H a + c = τ with known accelerations of the ball gives its torques."""
     system = ball_tree(5, 2)
@@ -120,6 +120,8 @@ def triple(axes: str) -> System:
     return System(model, "triple")
 
 
+# Inverse dynamics and ABA confirm the motion of prescribed balls by default.
+@pytest.mark.by_hand
 def test_prescribed_ball_moves_the_base_as_hinge_triple_does() -> None:
     """exp(θ cos β, θ sin β, 0) = R_z(β) R_x(θ) R_z(−β): same base, and the same power."""
     theta, beta = "(0.8 + 0.3*sin(2*t))", "(1.5*t)"

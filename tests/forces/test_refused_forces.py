@@ -182,6 +182,7 @@ def test_batch_with_stops_runs_members_singly(
 
 
 @pytest.mark.parametrize("torque", [WAVE, Hold([0, 0.1], [1, 2])])
+@pytest.mark.sampled
 def test_batch_with_smooth_plans_uses_lanes(torque: Any) -> None:
     """So do torques with breaks, from break to break."""
     options: dict[str, Any] = {

@@ -146,6 +146,7 @@ def test_linear_and_hold_equal_brute_force() -> None:
 
 
 @pytest.mark.parametrize("kind", [Spline, Linear])
+@pytest.mark.sampled
 def test_small_values_keep_digits_beside_large_ones(kind: type[Signal]) -> None:
     """At late times, beside values 1e12 times as large."""
     rng = np.random.default_rng(2)

@@ -62,6 +62,7 @@ def model_of(scene: pinred.Scene) -> ForceModel:
 @pytest.mark.by_hand("clamped-pinocchio", "natural-pinocchio", "not-a-knot-pinocchio")
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("end", signal.ENDS)
+@pytest.mark.sampled
 def test_driven_joint_follows_spline_of_scipy(engine: Engine, end: Any) -> None:
     """Positions and rates of a driven joint are those of SciPy's spline, also exactly at knots."""
     times, values = knots(40)

@@ -155,6 +155,7 @@ def test_parameters_move_breaks() -> None:
         lambda t: ca.if_else(ca.logic_and(t > 0.4, ca.logic_not(t > 1.1)), 3, t) * (t != 0.9),
     ],
 )
+@pytest.mark.sampled
 def test_forces_between_breaks_equal_the_written_ones(function: Function) -> None:
     """With conditions evaluated in the middle of a span, a force is the written one throughout."""
     model = model_of(function)

@@ -278,7 +278,7 @@ def test_compare_of_underflowing_motion_does_not_fail(name: str, speed: float) -
 @pytest.mark.parametrize("speed", [1.0, 1e-3])
 @pytest.mark.parametrize("name", ["falling_cat", "planar_chain5"])
 @pytest.mark.parametrize("away", [1e6, 1e9])
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_compare_of_distant_base_does_not_fail(name: str, speed: float, away: float) -> None:
     """The base is 1e9 m from the origin."""
     system = pinred.load(name)
@@ -343,6 +343,7 @@ def test_closest_defect_depends_on_forces_and_mean() -> None:
 
 @pytest.mark.parametrize("size", [5.0, 20.0])
 @pytest.mark.parametrize("torque", [0.0, 0.05])
+@pytest.mark.sampled
 def test_jump_at_one_step_end_fails_defects(size: float, torque: float) -> None:
     """A few tolerances fail in the line of defects, also where a slow torque acts."""
     slow = Torque(lambda s: {"bend": torque * ca.sin(3.0 * s.t)})
@@ -363,6 +364,8 @@ def test_jump_at_one_step_end_fails_defects(size: float, torque: float) -> None:
     assert report.defect_bound == pytest.approx(3.0 * TIGHT)
 
 
+# Further tests check the rule, and the impulse of a force.
+@pytest.mark.by_hand
 def test_step_in_flank_of_pulse_may_exceed_bound() -> None:
     """Equal steps of DOP853 miss the pulse by tens of tolerances, and an added jump fails."""
 

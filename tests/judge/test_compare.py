@@ -19,7 +19,7 @@ EXAMPLES = {"solo12": 2.0, "ur5": 3.0, "talos": 0.5}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(bundled_robots()))
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_compare_passes_for_bundled_robot(name: str) -> None:
     """Every bundled robot agrees with ABA from its default initial state.
 
@@ -33,6 +33,8 @@ def test_compare_passes_for_bundled_robot(name: str) -> None:
     assert report.reference_error < 1e-9 * report.growth[-1]
 
 
+# Bundled robots and random trees are compared by default.
+@pytest.mark.by_hand
 @pytest.mark.slow
 @pytest.mark.skipif(not has_example_robots(), reason="needs example-robot-data")
 @pytest.mark.parametrize("name", sorted(EXAMPLES))
@@ -50,7 +52,7 @@ def test_compare_passes_for_example_robot(name: str) -> None:
     "seed", [0, 3, *(pytest.param(k, marks=pytest.mark.by_hand) for k in (1, 2))]
 )
 @pytest.mark.parametrize("group", GROUPS)
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_compare_passes_for_random_trees(group: str, seed: int) -> None:
     """Trees of every group with springs, armature, a moved pose, and gravity if invariant."""
     model = random_model(group, seed + 1, seed)
@@ -95,7 +97,7 @@ def test_error_decreases_with_tolerance() -> None:
         ("spatial_momentum", 5, 1e-6, "fields against q, v"),
     ],
 )
-@pytest.mark.sampled
+@pytest.mark.sampled(3)
 def test_compare_fails_for_wrong_trajectory(
     name: str, column: int, size: float, check: str
 ) -> None:
@@ -197,6 +199,7 @@ def test_report_text_contains_checks() -> None:
 
 @pytest.mark.parametrize("group", [name for name in GROUPS if GROUPS[name].turns])
 @pytest.mark.parametrize("angle", [1e-3, 1e-6, 3e-9, 1e-12])
+@pytest.mark.sampled(4)
 def test_small_rotation_is_measured_at_any_pose(group: str, angle: float) -> None:
     """The distance of two slightly rotated bases is independent of their pose."""
     system = pinred.load(random_model(group, 2, 1))

@@ -98,6 +98,7 @@ def test_root_normalises_quaternions(group: str) -> None:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("joints", [0, 1, 9])
 @pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.sampled(3)
 def test_configuration_of_angles_beyond_full_rotations(group: str, joints: int, seed: int) -> None:
     """Constant rates for one second from zero, including several full rotations."""
     model, rng = random_model(group, joints, seed), np.random.default_rng(seed)
@@ -317,6 +318,8 @@ def test_perturbation_satisfies_couplings() -> None:
     np.testing.assert_allclose(xdot, case.G @ full.couplings.shape(xdot), atol=1e-15)
 
 
+# Trees with couplings and forces are compared by default.
+@pytest.mark.by_hand
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [
     "panda", "baxter",

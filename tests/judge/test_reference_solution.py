@@ -5,30 +5,27 @@ Momenta and energies are computed here by sums over bodies.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from forced_trees import tree
-
 import pinred
+from dataclasses import dataclass
+from typing import Any
+from forced_trees import tree
 from pinred.common.arrays import Array
-from pinred.forces import SeenState, Torque, Wrench
+from pinred.forces import SeenState
+from pinred.forces import Torque
+from pinred.forces import Wrench
 from pinred.judge.reference_integrators import Hairer
-from pinred.judge.reference_solution import (
-    FINEST,
-    PERTURBATION,
-    Distance,
-    FullMotion,
-    FullState,
-    Size,
-)
+from pinred.judge.reference_solution import FINEST
+from pinred.judge.reference_solution import PERTURBATION
+from pinred.judge.reference_solution import Distance
+from pinred.judge.reference_solution import FullMotion
+from pinred.judge.reference_solution import FullState
+from pinred.judge.reference_solution import Size
 from pinred.lie import GROUPS
 from pinred.system.joints import axes_of
-
 
 @dataclass(frozen=True)
 class Bodies:
@@ -167,6 +164,7 @@ def random_gains(names: tuple[str, ...], m: int, sizes: dict[str, int]) -> dict[
 
 @pytest.mark.parametrize("names", [("pose",), ("xi", "pose"), ("mu", "J")])
 @pytest.mark.parametrize("group", ["SO2", "SE2", "SO3", "SE3"])
+@pytest.mark.sampled(3)
 def test_rate_under_forces_that_depend_on_base(group: str, names: tuple[str, ...]) -> None:
     """Compared with ABA under random_gains from sums over bodies."""
     system = tree_with_hand(group)

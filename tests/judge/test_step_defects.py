@@ -61,6 +61,7 @@ KINDS = [("pose", 1), ("pose", 4), ("x", 0), ("x", 1), ("xi", 2), ("xi", 4), ("x
 
 @pytest.mark.parametrize(("name", "column"), KINDS)
 @pytest.mark.parametrize(("atol", "away"), [(1e-2 * RTOL, 0.0), (1e3 * RTOL, 0.0), (RTOL, 1e7)])
+@pytest.mark.sampled(3)
 def test_defect_of_jump_is_relative_to_its_unit(
     name: str, column: int, atol: float, away: float
 ) -> None:

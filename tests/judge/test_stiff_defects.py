@@ -38,6 +38,8 @@ def tolerance(traj: pinred.Trajectory) -> float:
     return traj.scene.rtol + traj.scene.atol
 
 
+# Motions with 1e-4 and 1e-6 have tests of their own.
+@pytest.mark.by_hand("0.01")
 @pytest.mark.parametrize(
     "mass", [1e-2, *(pytest.param(m, marks=pytest.mark.by_hand) for m in (1e-3, 1e-5)), 1e-7]
 )
@@ -65,6 +67,7 @@ def test_errors_that_decay_are_those_of_first_step() -> None:
     assert pinred.compare(traj).rate_error == pytest.approx(decaying.rates)
 
 
+@pytest.mark.by_hand("False")
 @pytest.mark.parametrize("reported", [True, False])
 def test_wrong_rate_at_report_time_cannot_tell(reported: bool) -> None:
     """The rate at the first step end is wrong by 2e-3, which counts only if it is reported."""
@@ -174,6 +177,7 @@ def test_solved_steps_excuse_residuals_that_decay() -> None:
     assert (solved.steps <= plain.steps).all()
 
 
+@pytest.mark.by_hand("xi-0.5")
 @pytest.mark.parametrize(("column", "unit"), [("x", 1.0), ("xi", 0.5)])
 def test_solved_steps_keep_errors_that_remain(column: str, unit: float) -> None:
     """A jump of a number that does not decay is the error of its step, also in a stiff step."""

@@ -39,6 +39,7 @@ def test_costs_have_the_units_of_their_metric() -> None:
         (None, ("rotation", "rad")),
     ],
 )
+@pytest.mark.sampled
 def test_merit_name_states_root_and_unit(
     three_rods_best: pinred.BestGait, cost: CostKind | None, name: tuple[str, str]
 ) -> None:

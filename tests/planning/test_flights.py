@@ -129,7 +129,7 @@ def rods_too_late() -> pinred.FlightPlan:
 
 
 def test_flight_out_of_reach_ends_nearest_and_states_the_shortest_duration() -> None:
-    """The plan uses its limits, and reaches the target in little more than the stated duration."""
+    """The plan uses its limits."""
     plan = rods_too_late()
     assert not plan.reached
     assert plan.missed == pytest.approx(plan.remaining, abs=1e-7)
@@ -137,9 +137,14 @@ def test_flight_out_of_reach_ends_nearest_and_states_the_shortest_duration() -> 
     peak = np.abs(plan.trajectory.driving_torques).max()
     assert 0.99 < peak <= 1.0
     assert "torques of alpha1" in plan.active
-    shortest = plan.shortest
-    assert shortest is not None
-    assert f"{shortest:.4g} s suffice" in str(plan)
+    assert plan.shortest is not None
+    assert f"{plan.shortest:.4g} s suffice" in str(plan)
+
+
+@pytest.mark.by_hand
+def test_flight_in_little_more_than_the_shortest_duration_arrives() -> None:
+    """Three percent more than the stated duration suffice."""
+    shortest = float(rods_too_late().shortest or np.nan)
     again = pinred.reorient(
         pinred.load("three_rods"), 3.4, duration=1.03 * shortest, **OUT_OF_REACH
     )
@@ -172,13 +177,19 @@ def test_flight_refuses_incomplete_options() -> None:
         pinred.reorient(pinred.load("falling_cat_ball"), [0, 0.1, 0], duration=1.0, effort="rate")
 
 
+TOO_FAST: dict[str, Any] = {"limits": 2.5, "x0": [0.4, 0.5], "torques": 0.5, "duration": 1.0}
+
+
 def test_loop_too_fast_for_torques_names_the_flight_that_is_possible() -> None:
     """The loop needs more time than the least-torque motion with the same limits."""
-    options: dict[str, Any] = {"limits": 2.5, "x0": [0.4, 0.5], "torques": 0.5, "duration": 1.0}
-    rods = pinred.load("three_rods")
     with pytest.raises(InputError, match=r'need 1\.8. s for this loop.*effort="torque"'):
-        pinred.reorient(rods, 0.3, **options)
-    plan = pinred.reorient(rods, 0.3, effort="torque", **options)
+        pinred.reorient(pinred.load("three_rods"), 0.3, **TOO_FAST)
+
+
+@pytest.mark.by_hand
+def test_flight_is_possible_where_the_loop_is_too_fast() -> None:
+    """The message of the loop proposes this flight."""
+    plan = pinred.reorient(pinred.load("three_rods"), 0.3, effort="torque", **TOO_FAST)
     assert plan.reached
     assert_within_limits(plan, [[-2.5, 2.5]] * 2, 0.5)
 

@@ -48,6 +48,8 @@ def rnea_torques(system: pinred.System, gait: pinred.Gait, centre: Array, t: flo
     )
 
 
+# The cost of the best gait of a ball is that of RNEA.
+@pytest.mark.by_hand
 def test_torques_along_loop_are_those_of_rnea() -> None:
     """In the axes of the children, about a centre, also far from it."""
     system, centre, A = tree()

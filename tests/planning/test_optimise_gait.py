@@ -505,6 +505,8 @@ def test_search_without_loops_within_limits_is_lost(monkeypatch: pytest.MonkeyPa
         pinred.optimise_gait(rods(), harmonics=1, limits=1.0, starts=1)
 
 
+# Perturbations and known optima have tests of their own.
+@pytest.mark.by_hand
 def test_further_starts_reach_an_optimum_that_the_first_misses() -> None:
     """Large perturbations leave the optimum to which the continuation from ellipses leads."""
     options = {"axis": "y", "limits": 1.3, "harmonics": 2}
@@ -533,6 +535,7 @@ def _moving_checks(limits: Limits, rng: np.random.Generator) -> LimitChecks:
 
 @pytest.mark.parametrize("exact", [False, True])
 @pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.sampled
 def test_transcription_derivatives_equal_differences(cost: str, *, exact: bool) -> None:
     """Derivatives of the objective and all constraints, by differences of order 4."""
     for A in (rods(), swimmer()):

@@ -13,6 +13,7 @@ from pinred.lie import GROUPS
 from pinred.reduction.tree.all_joints import height
 
 
+@pytest.mark.by_hand("SO2", "SO3", "RxSE2")
 @pytest.mark.parametrize("group", GROUPS)
 def test_heights_of_links_are_pinocchios(group: str) -> None:
     """Frames on hinges, slides and balls, with the gravity of the model and without any."""

@@ -74,6 +74,7 @@ def test_body_frames_have_joint_axis_along_z(case: Case) -> None:
              "satellite_two_arms", "falling_cat", "cartpole", "double_spherical_pendulum",
              "reaction_wheel_satellite"],
 )  # fmt: skip
+@pytest.mark.sampled(3)
 def test_reduced_graph_rates_equal_pinocchio_route(name: str, zero: bool) -> None:
     """The graph of every bundled robot gives the rates of the readable route."""
     system = pinred.load(name)

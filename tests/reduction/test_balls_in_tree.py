@@ -44,6 +44,7 @@ def random_motion(system: System, seed: int) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("seed", range(20))
+@pytest.mark.sampled(4)
 def test_sweep_with_balls_equals_aba(seed: int) -> None:
     """Velocities solve H v = (μ, π), and π̇ gives ABA's accelerations, to 1e-14 of the terms."""
     system = ball_tree(seed, 6)

@@ -26,6 +26,7 @@ def differences(values: object, z: Array, step: float = 1e-6) -> Array:
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.sampled
 def test_inverse_dynamics_agrees_with_pinocchio_and_differences(robot: str) -> None:
     """Torques are RNEA's; derivatives are those of torques, and those of first derivatives."""
     system = pinred.load(robot)

@@ -23,6 +23,7 @@ def accelerations(system: System, q: Array, v: Array, tau: Array) -> Array:
 
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("seed", range(6))
+@pytest.mark.sampled(3)
 def test_lagrange_poincare_of_balls_has_accelerations_of_aba(group: str, seed: int) -> None:
     """With torques, springs and a base wrench, to 1e-13 of the terms."""
     system, rng = ball_tree(seed, 5, group), np.random.default_rng(seed)

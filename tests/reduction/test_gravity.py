@@ -168,7 +168,7 @@ def test_tiny_gravity_counts_as_zero() -> None:
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("name", ["cartpole", "double_spherical_pendulum"])
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_shapes_under_gravity_agree_with_aba(name: str, engine: Engine) -> None:
     """A cart-pole across gravity, pendulums about the vertical: a potential on the shape."""
     system = pinred.load(name)
@@ -216,6 +216,7 @@ def test_pinned_trees_under_gravity_agree_with_aba(seed: int, joints: int) -> No
 
 
 @pytest.mark.parametrize("outputs", ["all", "shape"])
+@pytest.mark.sampled
 def test_pivot_at_centre_of_mass_moves_as_without_gravity(outputs: Any) -> None:
     """The motion is that without gravity, by every method, and ABA agrees."""
     light = pinred.load("rigid_body")

@@ -85,6 +85,7 @@ def brioschi(system: pinred.System) -> ca.Function:
 
 
 @pytest.mark.parametrize("group", ["R", "SO2", "SE2", "SO3", "SE3"])
+@pytest.mark.sampled(3)
 def test_gauss_curvature_of_two_joints_equals_brioschi(group: str) -> None:
     """Gauss's curvature by CasADi's derivatives of the metric's coefficients."""
     for seed in range(3):

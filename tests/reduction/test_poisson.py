@@ -56,6 +56,7 @@ def test_canonical_tensor_maps_to_connection_tensor(case: Case) -> None:
 
 @pytest.mark.parametrize("form", ["connection", "canonical"])
 @pytest.mark.parametrize("group", [*GROUPS, "heavy"])
+@pytest.mark.sampled
 def test_jacobi_identity(group: str, form: str) -> None:
     """The cyclic sum of {{f, g}, k} vanishes to round-off of its largest term."""
     system = heavy(2, 3) if group == "heavy" else make_case(group, 2, 3).system
@@ -127,6 +128,7 @@ def along(system: pinred.System, traj: pinred.Trajectory, t: float, step: float)
     "name",
     ["falling_cat", "double_spherical_pendulum", "planar_chain5", "upright_drone", "cartpole"],
 )
+@pytest.mark.sampled
 def test_bracket_with_energy_is_rate_along_motion(name: str) -> None:
     """For random functions, on bundled robots, also in free fall."""
     system = pinred.load(name)

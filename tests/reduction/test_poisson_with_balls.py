@@ -67,6 +67,7 @@ def test_canonical_tensor_with_balls_maps_to_connection_tensor(group: str) -> No
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("group", ["SE3", "SE2", "heavy"])
+@pytest.mark.sampled(3)
 def test_jacobi_identity_with_balls(group: str, form: Literal["connection", "canonical"]) -> None:
     """The cyclic sum of {{f, g}, k} vanishes to round-off of its largest term."""
     system = heavy(3) if group == "heavy" else ball_tree(4, 2, group)
@@ -103,6 +104,7 @@ def test_momenta_of_ball_have_brackets_of_angular_momentum() -> None:
 
 
 @pytest.mark.parametrize("group", ["SE3", "SO3", "SE2"])
+@pytest.mark.sampled(3)
 def test_energy_bracket_with_balls_equals_rates_of_kernel(group: str) -> None:
     """{z, h} equals Pinocchio's rates, the kernel's rates, and maps to the connection form."""
     system = ball_tree(5, 3, group)

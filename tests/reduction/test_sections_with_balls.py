@@ -82,6 +82,7 @@ def test_change_section_with_balls_equals_transformed_mass_matrix(group: str) ->
 
 
 @pytest.mark.parametrize("group", ["SE3", "SO3", "SE2"])
+@pytest.mark.sampled
 def test_lagrange_poincare_with_balls_is_independent_of_section(group: str) -> None:
     """ABA's shape accelerations in another section."""
     system, rng = ball_tree(6, 4, group), np.random.default_rng(4)

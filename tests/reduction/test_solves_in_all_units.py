@@ -7,22 +7,24 @@ differ by 1e-9 for a robot of a millimetre and a gram.  Errors are in the robot'
 from __future__ import annotations
 
 import re
-from types import SimpleNamespace
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from scaled_robots import Units, scaled, weld
-
 import pinred
+from types import SimpleNamespace
+from typing import Any
+from scaled_robots import Units
+from scaled_robots import scaled
+from scaled_robots import weld
 from pinred import poisson
-from pinred.analysis.connections.connection_physics import slip_matrix, slips_of
+from pinred.analysis.connections.connection_physics import slip_matrix
+from pinred.analysis.connections.connection_physics import slips_of
 from pinred.common.arrays import Array
 from pinred.forces.force_model import loop_motion
 from pinred.kernels.connection.connection_form import velocity_graph
-from pinred.kernels.reference_state import length_of, steps_of
+from pinred.kernels.reference_state import length_of
+from pinred.kernels.reference_state import steps_of
 from pinred.reduction.pointwise_reduction import mass_matrix
 from pinred.system.loops.kinematics import loop_jacobian
 from pinred.system.system import System
@@ -46,6 +48,7 @@ def error(values: Any, expected: Array) -> float:
 
 @pytest.mark.parametrize("units", UNITS, ids=str)
 @pytest.mark.parametrize("kind", ["tree", "balls"])
+@pytest.mark.sampled
 def test_reduction_is_accurate_in_all_units(kind: str, units: Units) -> None:
     """Connection, metric and both Hamiltonians against the mass matrix without units."""
     system, steps, x = robot(kind, units)
@@ -89,7 +92,7 @@ def test_loop_motion_is_accurate_in_all_units(length: float) -> None:
     assert error(values[2:], -np.linalg.solve(J[:, 2:], J[:, :2])) < EXACT
 
 
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("units", UNITS, ids=str)
 @pytest.mark.parametrize("count", [1, 2, 5, 6])
 def test_wheels_are_accurate_in_all_units(count: int, units: Units) -> None:

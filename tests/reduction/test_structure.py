@@ -96,7 +96,7 @@ WHEELS = ("wheel_x", "wheel_y", "wheel_z")
         (Wrench([0.1, 0.0, 0.0, 0.0, 0.0, 0.02]), WHEELS),
     ],
 )
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_force_on_wheel_makes_it_acyclic(force: Force, cyclic: tuple[str, ...]) -> None:
     """A force that acts on a wheel, or depends on its angle, makes it acyclic; others do not."""
     system = pinred.load("reaction_wheel_satellite")

@@ -80,6 +80,7 @@ def test_constrained_variations_match_differences_of_motions(name: str) -> None:
 
 
 @pytest.mark.parametrize("group", ["SE3", "SO3", "SE2"])
+@pytest.mark.sampled(3)
 def test_constrained_variation_with_balls_matches_differences_of_motions(group: str) -> None:
     """δΩ of a family of motions g(t, s), x(t, s) with rates and variations along the frame."""
     system = ball_tree(2, 3, group)
@@ -140,6 +141,7 @@ def test_euler_poincare_of_quadratic_lagrangian_is_rigid_body() -> None:
 
 
 @pytest.mark.parametrize("group", [SE2, SE3])
+@pytest.mark.sampled
 def test_euler_poincare_of_any_lagrangian_conserves_momentum_in_space(group: Group) -> None:
     """Along a motion of ℓ with fourth powers, J = Ad*_{g⁻¹} ∂ℓ/∂ξ and the energy are constant."""
     rng = np.random.default_rng(3)

@@ -66,6 +66,7 @@ def told(scene: pinred.Scene) -> tuple[Any, ...]:
 
 
 @pytest.mark.parametrize("name", SAME)
+@pytest.mark.sampled
 def test_python_command_line_and_file_give_the_same_scene(name: str, tmp_path: Path) -> None:
     """One scene in three notations."""
     options, arguments, text = SAME[name]

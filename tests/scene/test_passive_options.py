@@ -47,6 +47,7 @@ FORMS = [
 
 
 @pytest.mark.parametrize(("options", "text", "words"), FORMS)
+@pytest.mark.sampled
 def test_passive_options_equal_explicit_forces(
     robot: Path, options: dict[str, Any], text: str, words: list[str], tmp_path: Path
 ) -> None:

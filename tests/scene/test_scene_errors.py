@@ -10,21 +10,28 @@ import os
 import re
 import tomllib
 import warnings
+import jsonschema
+import pytest
+import pinred
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
-
-import jsonschema
-import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck
+from hypothesis import given
+from hypothesis import settings
 from hypothesis import strategies as st
-
-import pinred
 from pinred.cli.main import main
-from pinred.common.errors import InputError, LoadError, ModelError, PinredError, ShapeError
+from pinred.common.errors import InputError
+from pinred.common.errors import LoadError
+from pinred.common.errors import ModelError
+from pinred.common.errors import PinredError
+from pinred.common.errors import ShapeError
 from pinred.planning.gait_file import GAIT_FILE
-from pinred.scene.toml.reader import SCENE, scene_schema
-from pinred.scene.toml.schema import LARGEST, Place, Table
+from pinred.scene.toml.reader import SCENE
+from pinred.scene.toml.reader import scene_schema
+from pinred.scene.toml.schema import LARGEST
+from pinred.scene.toml.schema import Place
+from pinred.scene.toml.schema import Table
 from pinred.simulation.plan import plan_of
 from pinred.simulation.simulate import explain_plan
 
@@ -189,6 +196,7 @@ def message_of(folder: Path, text: str, kind: type[PinredError] = PinredError) -
 
 
 @pytest.mark.parametrize(("text", "words"), STRUCTURE)
+@pytest.mark.sampled
 def test_invalid_structure_is_refused_by_reader_and_schema(
     text: str, words: str, tmp_path: Path
 ) -> None:

@@ -6,45 +6,49 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Callable
-from dataclasses import MISSING, fields
-from inspect import signature
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 import pytest
-
 import pinred
+from collections.abc import Callable
+from dataclasses import MISSING
+from dataclasses import fields
+from inspect import signature
+from pathlib import Path
+from typing import Any
 from pinred.cli.main import main
 from pinred.common.argument_kinds import Default
-from pinred.forces import (
-    PD,
-    ComputedTorque,
-    Damper,
-    Friction,
-    PotentialEnergy,
-    Spring,
-    Torque,
-    Wrench,
-)
-from pinred.forces.force import Force, Limit
-from pinred.integrators.methods import (
-    DOP853,
-    METHODS,
-    RKMK4,
-    AdaptiveGauss,
-    Gauss,
-    Method,
-    Radau,
-    Tsit5,
-    Variational,
-)
-from pinred.scene.scene_options import LOAD, METHOD_TABLES
-from pinred.scene.toml.reader import IMPACTS, SCENE, read_scene_file
+from pinred.forces import PD
+from pinred.forces import ComputedTorque
+from pinred.forces import Damper
+from pinred.forces import Friction
+from pinred.forces import PotentialEnergy
+from pinred.forces import Spring
+from pinred.forces import Torque
+from pinred.forces import Wrench
+from pinred.forces.force import Force
+from pinred.forces.force import Limit
+from pinred.integrators.methods import DOP853
+from pinred.integrators.methods import METHODS
+from pinred.integrators.methods import RKMK4
+from pinred.integrators.methods import AdaptiveGauss
+from pinred.integrators.methods import Gauss
+from pinred.integrators.methods import Method
+from pinred.integrators.methods import Radau
+from pinred.integrators.methods import Tsit5
+from pinred.integrators.methods import Variational
+from pinred.scene.scene_options import LOAD
+from pinred.scene.scene_options import METHOD_TABLES
+from pinred.scene.toml.reader import IMPACTS
+from pinred.scene.toml.reader import SCENE
+from pinred.scene.toml.reader import read_scene_file
 from pinred.scene.toml.value_tables import FORCES
-from pinred.signals import Constant, Expression, Fourier, Hold, Linear, Spline
+from pinred.signals import Constant
+from pinred.signals import Expression
+from pinred.signals import Fourier
+from pinred.signals import Hold
+from pinred.signals import Linear
+from pinred.signals import Spline
 from pinred.system.robot_files import has_example_robots
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -178,6 +182,7 @@ FORCE_CASES: dict[str, tuple[str, Callable[[], Force]]] = {
 
 
 @pytest.mark.parametrize("kind", FORCE_CASES)
+@pytest.mark.sampled
 def test_force_from_file_matches_python(kind: str, tmp_path: Path) -> None:
     """A force from a file gives the motion of the same force in Python."""
     text, force = FORCE_CASES[kind]
@@ -213,6 +218,7 @@ SIGNAL_CASES = {
     "engine", ["compiled", pytest.param("pinocchio", marks=pytest.mark.by_hand)]
 )
 @pytest.mark.parametrize("kind", SIGNAL_CASES)
+@pytest.mark.sampled
 def test_prescribed_signal_from_file_matches_python(kind: str, engine: str, tmp_path: Path) -> None:
     """The prescribed joint moves as with the signal in Python."""
     text, signal = SIGNAL_CASES[kind]
@@ -253,6 +259,7 @@ def test_springs_and_joints_by_name_match_python(tmp_path: Path) -> None:
         ("{ name = 'Tsit5', rtol = 1e-7 }", Tsit5(rtol=1e-7)),
     ],
 )
+@pytest.mark.sampled
 def test_method_from_file_matches_python(text: str, method: Any, tmp_path: Path) -> None:
     """The integrator of the file is the one of Python."""
     scene = pinred.load_scene(
@@ -365,7 +372,7 @@ LONG = {"cat_turns_over", "solo12_free_fall"}  # whose comparison takes several 
     ],
     ids=lambda path: path.stem,
 )
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(8)
 def test_example_passes_comparison_with_aba(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -63,6 +63,7 @@ CHANGES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.sampled
 def test_scene_with_changed_option_equals_first_scene_of_a_robot(
     change: str, robot: System
 ) -> None:
@@ -180,6 +181,7 @@ def test_changes_of_a_scene_do_not_reach_another_of_its_structure(robot: System)
         ("planar_chain5", {"prescribed": {"joint2": "0.1*t"}, "momentum": [1, 2, 3]}),
     ],
 )
+@pytest.mark.sampled
 def test_prepared_start_equals_the_start_of_members(
     name: str, options: dict[str, Any], outputs: Any
 ) -> None:

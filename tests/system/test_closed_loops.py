@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
-
 import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from loop_robots import crank_angles, four_bar, gripper, random_loops, sliding_bars
-from robot_texts import body, joint, link, mjcf, robot
+import pinred
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from loop_robots import crank_angles
+from loop_robots import four_bar
+from loop_robots import gripper
+from loop_robots import random_loops
+from loop_robots import sliding_bars
+from robot_texts import body
+from robot_texts import joint
+from robot_texts import link
+from robot_texts import mjcf
+from robot_texts import robot
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
-
-import pinred
 from pinred.cli.main import main
 from pinred.common.arrays import Array
-from pinred.common.errors import InputError, ModelError
+from pinred.common.errors import InputError
+from pinred.common.errors import ModelError
 from pinred.system.loops import loop_assembly
-from pinred.system.loops.kinematics import LoopKinematics, loop_values
-from pinred.system.loops.loop import KINDS, Loop, parse_loops
-
+from pinred.system.loops.kinematics import LoopKinematics
+from pinred.system.loops.kinematics import loop_values
+from pinred.system.loops.loop import KINDS
+from pinred.system.loops.loop import Loop
+from pinred.system.loops.loop import parse_loops
 
 @pytest.mark.parametrize("kind", ["3d", "z"])
 def test_four_bar_has_rank_two_and_closes_in_closed_form(kind: str) -> None:
@@ -152,6 +161,8 @@ def test_loops_that_fix_all_joints_are_refused() -> None:
         pinred.load(four_bar()[0], loops="coupler_tip=rocker_tip:6d")
 
 
+# Redundant equations of one planar loop are found by default.
+@pytest.mark.by_hand
 def test_redundant_equations_over_several_loops_are_found() -> None:
     """A second loop beside the first adds no independent equations."""
     model, loops = four_bar()
@@ -203,6 +214,8 @@ URDF = (
 )
 
 
+# A mechanism on a heavy base is compared with MuJoCo by default.
+@pytest.mark.by_hand
 def test_heavy_ground_moves_a_mechanism_as_a_fixed_one(tmp_path: Path) -> None:
     """The example of docs/robots.md against the closed form of a four-bar on a fixed ground."""
     page = (Path(__file__).parents[2] / "docs/robots.md").read_text("utf-8")

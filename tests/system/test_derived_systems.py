@@ -45,6 +45,7 @@ def test_assembly_of_a_system_makes_the_same_model(name: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["trees", "balls", "followers", "flat"])
+@pytest.mark.sampled
 def test_other_root_keeps_energy_momentum_and_places(kind: str) -> None:
     """A robot with each link as its root moves alike; back at its own root it is the same."""
     rng = np.random.default_rng(3)

@@ -147,6 +147,7 @@ def test_model_has_order_and_indices_of_original_model() -> None:
     assert system.data is not system.sorted_data
 
 
+@pytest.mark.by_hand("compiled")
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
 def test_motion_from_q0_with_torques_agrees_with_aba_of_original_model(engine: Engine) -> None:
@@ -323,6 +324,8 @@ def test_loops_of_an_unsorted_model_close_in_the_original_model() -> None:
             np.testing.assert_allclose(a.translation, b.translation, rtol=0.0, atol=1e-7)
 
 
+# The next motions of unsorted models agree with ABA by default.
+@pytest.mark.by_hand
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "seed", [1, *(pytest.param(seed, marks=pytest.mark.by_hand) for seed in range(2, 31))]

@@ -64,6 +64,7 @@ def arm(text: str = ARM) -> pinred.System:
 
 
 @pytest.mark.parametrize(("values", "old", "new"), CHANGES, ids=lambda value: str(value)[:30])
+@pytest.mark.sampled
 def test_values_of_links_are_those_of_a_file_edited_by_hand(
     values: dict[str, Any], old: str, new: str
 ) -> None:
@@ -81,6 +82,7 @@ def test_values_of_links_are_those_of_a_file_edited_by_hand(
     "name",
     ["payload.mass", "hand.com", "payload.inertia", "hand.link.mass", "j2.body.mass", "upper.mass"],
 )
+@pytest.mark.sampled
 def test_value_equal_to_the_file_changes_no_bit(name: str) -> None:
     """Also where another value changes."""
     system = arm()

@@ -258,6 +258,8 @@ def test_lock_model_without_joint_frames() -> None:
 
 
 # The other quadruped runs by default.
+# The bundled robots match their catalogue, and other tests use these robots.
+@pytest.mark.by_hand
 @pytest.mark.by_hand("anymal_c")
 @needs_robots
 @pytest.mark.parametrize("name", ["solo12", "talos", "anymal_c"])

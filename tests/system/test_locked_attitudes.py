@@ -81,6 +81,7 @@ def assert_locked(free: pinred.System, locked: pinred.System, lock: Mapping[str,
 @pytest.mark.parametrize(
     ("robot", "balls"), [("diver", ("hips",)), ("astronaut", ("left_hip", "right_shoulder"))]
 )
+@pytest.mark.sampled(3)
 def test_merged_ball_is_locked_through_its_hinges(
     robot: str, balls: tuple[str, ...], case: str
 ) -> None:
@@ -95,6 +96,7 @@ def test_merged_ball_is_locked_through_its_hinges(
 
 @pytest.mark.parametrize("case", VALUES)
 @pytest.mark.parametrize("ball", ["j0", "j4"])
+@pytest.mark.sampled
 def test_ball_of_a_model_is_locked_with_its_subtree(ball: str, case: str) -> None:
     """The chain is j0 (ball), j2, j4 (ball), j5; other joints move beside it."""
     free = ball_tree(9, 6, armature=False, balls=0.4)
@@ -112,6 +114,7 @@ def test_ball_of_a_model_is_locked_with_its_subtree(ball: str, case: str) -> Non
 
 @pytest.mark.parametrize("names", [("shoulder",), ("wrist",), ("shoulder", "wrist")])
 @pytest.mark.parametrize("case", VALUES)
+@pytest.mark.sampled
 def test_ball_of_mjcf_is_locked_as_in_mujoco(case: str, names: tuple[str, ...]) -> None:
     """MuJoCo has the ball at this attitude; MuJoCo ignores the reference of a ball."""
     model: Any = mujoco.MjModel.from_xml_string(MJCF)

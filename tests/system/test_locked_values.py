@@ -107,6 +107,8 @@ def test_mjcf_with_varied_locks_matches_mujoco(case: str) -> None:
     np.testing.assert_allclose(ours, H[np.ix_(free, free)], rtol=0, atol=1e-10 * np.abs(H).max())
 
 
+# Varied locks are compared with MuJoCo, and share one kernel, by default.
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_motion_with_varied_locks_matches_aba() -> None:
     """Motions agree with ABA, and derivatives with differences of the flow."""

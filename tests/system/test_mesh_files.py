@@ -171,8 +171,8 @@ def test_mesh_that_takes_too_long_is_given_up(
     """A polygon with 200,000 corners takes minutes."""
     path = tmp_path / "slow.obj"
     path.write_text(SLOW)
-    monkeypatch.setattr(urdf_shapes, limit, 1.0)
-    expected = "was not read within 1 s"
+    monkeypatch.setattr(urdf_shapes, limit, 0.3)
+    expected = "was not read within 0.3 s"
     together = limit == "_SECONDS_TOGETHER"
     began = time.monotonic()
     assert reason(read_meshes([path])[path]) == expected + " for all meshes" * together

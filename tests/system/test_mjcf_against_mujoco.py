@@ -47,6 +47,7 @@ def agrees(folder: Path, text: str) -> Tree:
 
 @pytest.mark.parametrize("root", ["fixed", "free", "plane", "ball"])
 @pytest.mark.parametrize("name", CONSTRUCTS)
+@pytest.mark.sampled(3)
 def test_construct_matches_mujoco(tmp_path: Path, name: str, root: str) -> None:
     """Each construct alone, on four roots."""
     agrees(tmp_path, of_construct(name, root))

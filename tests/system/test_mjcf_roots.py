@@ -88,6 +88,7 @@ def world(inside: str, head: str = "") -> str:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("order", ["".join(o) for o in product("SH", repeat=3) if "H" in o])
+@pytest.mark.sampled
 def test_three_joints_of_plane_are_se2(order: str, seed: int) -> None:
     """This holds in any order and any plane, with points and references anywhere."""
     tree = tree_in(world(plane(order, seed)))

@@ -239,6 +239,7 @@ UNREAL = {"much": ("1", "2", "3.3", "10 %"), "hardly": ("1", "2", "3.000003", "0
 
 
 @pytest.mark.parametrize("row", UNREAL.values(), ids=UNREAL.keys())
+@pytest.mark.sampled
 def test_broken_triangle_inequality_warns(tmp_path: Path, row: tuple[str, str, str, str]) -> None:
     """The warning names link and extent; with strict=True loading is refused."""
     x, y, z, much = row

@@ -87,6 +87,7 @@ def test_masses_and_forces_agree_with_drake(tmp_path: Path) -> None:
 
 @needs_drake
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.sampled(3)
 def test_forces_agree_with_drake(tmp_path: Path, seed: int) -> None:
     """Bias forces at random states."""
     path, rng = write(tmp_path, ALL), np.random.default_rng(seed)
@@ -159,6 +160,7 @@ def test_limits_are_left_out_by_kind(tmp_path: Path) -> None:
 
 @needs_drake
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+@pytest.mark.sampled
 def test_floating_model_is_loaded_and_simulated(tmp_path: Path, kind: str) -> None:
     """With springs, dampers and friction."""
     dynamics = (

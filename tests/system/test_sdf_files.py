@@ -63,6 +63,7 @@ def include(uri: str, *parts: str, merge: bool = False) -> str:
 
 
 @pytest.mark.parametrize("merge", [False, True])
+@pytest.mark.sampled
 def test_included_model_keeps_friction_and_followers(tmp_path: Path, merge: bool) -> None:
     """The words of an included file count as those of the first one."""
     put(tmp_path / "arm.sdf", sdf(*ARM))
@@ -556,6 +557,7 @@ def test_planar_joint_of_drake(tmp_path: Path) -> None:
         ("", 1.0),
     ],
 )
+@pytest.mark.sampled
 def test_pitch_of_a_screw(tmp_path: Path, pitch: str, metres: float) -> None:
     """In metres per revolution, or before SDF 1.10 in left-handed radians per metre."""
     path = write(tmp_path, sdf(*LINKS[:2], joint("one", "screw", "a", "b", axis("0 0 1") + pitch)))

@@ -340,8 +340,8 @@ def test_run_driven_into_singular_shape_names_joint() -> None:
             xdot0=[1.0, 0.0],
             duration=2.0,
             prescribed=plan,
-            rtol=1e-6,
-            atol=1e-8,
+            rtol=1e-3,
+            atol=1e-5,
         )
     assert lost_inertia(system, np.array([0.3, 1.0])) == ""
     assert "'j0'" in lost_inertia(system, np.array([0.3, HALF + 1e-4]))

@@ -102,6 +102,7 @@ def raw_accelerations(raw: pin.Model, system: pinred.System, *state: Array) -> A
 
 @pytest.mark.filterwarnings("ignore:.*mass matrix is singular at single shapes")
 @pytest.mark.parametrize("seed", range(20))
+@pytest.mark.sampled(4)
 def test_equations_of_split_tree_agree_with_aba_of_the_original(seed: int) -> None:
     """Three joints of random kinds; Pinocchio's ABA is right for all of them."""
     rng = np.random.default_rng(1000 + seed)

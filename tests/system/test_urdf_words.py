@@ -261,6 +261,7 @@ def with_word(entry: Entry, value: str) -> str:
 
 
 @pytest.mark.parametrize("entry", OTHERS, ids=identity)
+@pytest.mark.sampled(3)
 def test_other_words_are_reported_or_change_nothing(entry: Entry) -> None:
     """Words that are left out are listed with their line; harmless ones and neutral values not."""
     words = entry.words

@@ -64,6 +64,7 @@ def test_labels_omit_followers(hand: pinred.System) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.sampled
 def test_all_figures_of_robot_with_followers(hand: pinred.System, kind: str) -> None:
     """Every kind of figure can be drawn."""
     traj = pinred.simulate(hand, seed=2, duration=0.5)

@@ -32,6 +32,7 @@ def bouncing_cat() -> pinred.Trajectory:
 
 
 @pytest.mark.parametrize("kind", ["shape", "rates", "energy"])
+@pytest.mark.sampled(3)
 def test_plots_mark_the_times_of_impacts(
     bouncing_cat: pinred.Trajectory, tmp_path: Path, kind: str
 ) -> None:

@@ -47,6 +47,7 @@ def random_function(rng: np.random.Generator, count: int) -> ca.Function:
 
 @needs_node
 @pytest.mark.parametrize("seed", range(6))
+@pytest.mark.sampled(3)
 def test_script_has_the_bits_of_casadi(seed: int) -> None:
     """Nested expressions and variables that are used again change no operation."""
     rng = np.random.default_rng(seed)

@@ -8,20 +8,17 @@ import signal
 import socket
 import subprocess
 import sys
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
-from commands import refused
-
 import pinred
+from pathlib import Path
+from typing import Any
+from commands import refused
 from pinred.cli import view_commands
 from pinred.cli.main import main
 from pinred.views.motions import play_view
 from pinred.views.playback.page import Player
 from pinred.views.playback.view_options import View
-
 
 def listeners(port: int) -> set[str]:
     """Return the addresses that listen at a port, from the kernel's tables."""
@@ -120,6 +117,8 @@ def test_play_waits_in_scripts_only(capsys: pytest.CaptureFixture[str]) -> None:
         assert b"elroys_beanie" in body
 
 
+# Ctrl-C during `play` in one process is tried by default.
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_ctrl_c_ends_play_command(tmp_path: Path) -> None:
     """`pinred play` serves until Ctrl-C and ends with exit code 0."""
@@ -210,6 +209,7 @@ def test_bad_input_is_reported_in_one_line(
 
 
 @pytest.mark.parametrize("robot", ["satellite_two_arms", "cartpole", "four_bar", "pendulum.xml"])
+@pytest.mark.sampled
 def test_play_command_shows_a_robot_at_rest(
     robot: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,6 +10,7 @@ SMALL = ("start", "_far", "_near", "levels of the energy")  # or hidden by other
 
 
 @pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.sampled
 def test_figure_equals_picture(name: str) -> None:
     """Without any one of its curves the figure differs."""
     figure, expected = FIGURES[name](), baseline(name)

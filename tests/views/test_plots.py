@@ -257,6 +257,7 @@ def test_names_are_not_parsed_as_formulas(tmp_path: Path) -> None:
     traj = pinred.simulate(pinred.load(path, gravity=(0, 0, 0)), seed=0, duration=0.1)
     for category in ("shape", "phase", "curvature", "sphere"):
         figure = pinred.plot(traj, category)
+        figure.set_layout_engine("none")
         figure.savefig(BytesIO(), dpi=20)
     legend = plots.shape(traj).axes[0].get_legend()
     assert legend is not None

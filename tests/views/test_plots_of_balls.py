@@ -33,6 +33,8 @@ def crossings_of(traj: pinred.Trajectory) -> Array:
     return np.stack([0.3 * t, np.full_like(t, 0.3)], axis=1)
 
 
+# The portrait of a ball and the section of hinges are drawn by default.
+@pytest.mark.by_hand
 def test_section_of_ball_equals_prescribed_motion(traj: pinred.Trajectory, tmp_path: Path) -> None:
     """Rotation vectors are unwrapped, and rates are their derivatives, also of recordings."""
     expected = crossings_of(traj)

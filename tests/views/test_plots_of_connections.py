@@ -87,6 +87,7 @@ def test_integral_in_title_equals_phase() -> None:
 
 
 @pytest.mark.parametrize("part", ["exterior", "bracket", "connection"])
+@pytest.mark.sampled
 def test_field_draws_terms_and_connection(part: str) -> None:
     """The terms of the curvature, and the vector field of the connection."""
     figure = plots.field(rods(), part=part, component="v1")  # type: ignore[arg-type]
@@ -324,6 +325,7 @@ def test_titles_say_the_motion_the_slice_and_omitted_joints() -> None:
 
 
 @pytest.mark.parametrize("momentum", [0.0, [0.0, 0.0, 0.4]])
+@pytest.mark.sampled
 def test_cycles_are_drawn_finely_and_right(momentum: float | list[float]) -> None:
     """Between the ends of segments, against SciPy's DOP853 of ġ = g ξ; the ends are kept."""
     phase = pinred.phase(rods(), CIRCLE, momentum)
