@@ -2,35 +2,23 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
-import pytest
-import pinred
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
-from typing import cast
+from typing import Any, cast
+
+import numpy as np
+import pinocchio as pin
+import pytest
 from point_pendulum import urdf
-from spinning_robots import equilibria_of_cat
-from spinning_robots import rods
-from test_branches import HUB
-from test_branches import LENGTH
-from test_branches import MASS
-from test_branches import SLIM
-from test_branches import WIDE
-from test_branches import G
-from test_branches import governor
-from test_branches import squared_momentum_at
-from pinred.analysis.equilibria.distinct_points import DistinctPoints
-from pinred.analysis.equilibria.distinct_points import Orbit
-from pinred.analysis.equilibria.distinct_points import symmetries_of
-from pinred.analysis.equilibria.equilibrium_problem import Points
-from pinred.analysis.equilibria.equilibrium_problem import Problem
-from pinred.analysis.equilibria.equilibrium_problem import problem_of
-from pinred.analysis.equilibria.find import _degree
-from pinred.analysis.equilibria.find import euler_characteristic
+from spinning_robots import equilibria_of_cat, rods
+from test_branches import HUB, LENGTH, MASS, SLIM, WIDE, G, governor, squared_momentum_at
+
+import pinred
+from pinred.analysis.equilibria.distinct_points import DistinctPoints, Orbit, symmetries_of
+from pinred.analysis.equilibria.equilibrium_problem import Points, Problem, problem_of
+from pinred.analysis.equilibria.find import _degree, euler_characteristic
 from pinred.analysis.equilibria.search import AmendedEnergy
 from pinred.common.arrays import Array
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pytest
-import pinred
 from collections.abc import Callable
 from typing import Any
+
+import numpy as np
+import pytest
 from assertions import close
 from lifts import random_gait
 from scipy.integrate import solve_ivp
+
+import pinred
 from pinred.analysis.connections import mixed
 from pinred.common.arrays import Array
 from pinred.kernels.kernel import evaluate

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import re
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from typing import Any
 from commands import python
-from hypothesis import given
-from hypothesis import settings
-from strategies import Case
-from strategies import cases
+from hypothesis import given, settings
+from strategies import Case, cases
 from trees import random_model
+
+import pinred
 from pinred.analysis.connections import shape_field
 from pinred.common.arrays import Array
 from pinred.kernels import kernel as kernels

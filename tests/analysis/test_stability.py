@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-import pinred
-from pathlib import Path
-from hypothesis import given
-from hypothesis import settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import seeds
 from trees import random_model
+
+import pinred
 from pinred.analysis.equilibria.equilibrium_problem import Points
 from pinred.analysis.equilibria.find import flow_at
 from pinred.analysis.equilibria.relative_equilibrium import RelativeEquilibrium

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from typing import Any
-from ball_trees import ball_tree
-from ball_trees import joined_bodies
+from ball_trees import ball_tree, joined_bodies
 from scipy.special import ellipk
+
+import pinred
 from pinred import InputError
 from pinred.common.arrays import Array
-from pinred.forces import PD
-from pinred.forces import BallLimit
-from pinred.forces import BallPD
-from pinred.forces import BallSpring
-from pinred.forces import Damper
-from pinred.forces import Force
-from pinred.forces import PotentialEnergy
+from pinred.forces import PD, BallLimit, BallPD, BallSpring, Damper, Force, PotentialEnergy
 from pinred.forces.force_model import ForceModel
 from pinred.forces.force_numbers import ForceInputs
-from pinred.lie.rotations import quaternion_exp
-from pinred.lie.rotations import rotation
+from pinred.lie.rotations import quaternion_exp, rotation
 from pinred.signals import Attitude
 from pinred.system.system import System
 

@@ -5,27 +5,30 @@ Momenta and energies are computed here by sums over bodies.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from dataclasses import dataclass
-from typing import Any
 from forced_trees import tree
+
+import pinred
 from pinred.common.arrays import Array
-from pinred.forces import SeenState
-from pinred.forces import Torque
-from pinred.forces import Wrench
+from pinred.forces import SeenState, Torque, Wrench
 from pinred.judge.reference_integrators import Hairer
-from pinred.judge.reference_solution import FINEST
-from pinred.judge.reference_solution import PERTURBATION
-from pinred.judge.reference_solution import Distance
-from pinred.judge.reference_solution import FullMotion
-from pinred.judge.reference_solution import FullState
-from pinred.judge.reference_solution import Size
+from pinred.judge.reference_solution import (
+    FINEST,
+    PERTURBATION,
+    Distance,
+    FullMotion,
+    FullState,
+    Size,
+)
 from pinred.lie import GROUPS
 from pinred.system.joints import axes_of
+
 
 @dataclass(frozen=True)
 class Bodies:

@@ -7,24 +7,22 @@ differ by 1e-9 for a robot of a millimetre and a gram.  Errors are in the robot'
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
+from scaled_robots import Units, scaled, weld
+
 import pinred
-from types import SimpleNamespace
-from typing import Any
-from scaled_robots import Units
-from scaled_robots import scaled
-from scaled_robots import weld
 from pinred import poisson
-from pinred.analysis.connections.connection_physics import slip_matrix
-from pinred.analysis.connections.connection_physics import slips_of
+from pinred.analysis.connections.connection_physics import slip_matrix, slips_of
 from pinred.common.arrays import Array
 from pinred.forces.force_model import loop_motion
 from pinred.kernels.connection.connection_form import velocity_graph
-from pinred.kernels.reference_state import length_of
-from pinred.kernels.reference_state import steps_of
+from pinred.kernels.reference_state import length_of, steps_of
 from pinred.reduction.pointwise_reduction import mass_matrix
 from pinred.system.loops.kinematics import loop_jacobian
 from pinred.system.system import System

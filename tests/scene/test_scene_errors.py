@@ -10,28 +10,21 @@ import os
 import re
 import tomllib
 import warnings
-import jsonschema
-import pytest
-import pinred
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
-from hypothesis import HealthCheck
-from hypothesis import given
-from hypothesis import settings
+
+import jsonschema
+import pytest
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
+import pinred
 from pinred.cli.main import main
-from pinred.common.errors import InputError
-from pinred.common.errors import LoadError
-from pinred.common.errors import ModelError
-from pinred.common.errors import PinredError
-from pinred.common.errors import ShapeError
+from pinred.common.errors import InputError, LoadError, ModelError, PinredError, ShapeError
 from pinred.planning.gait_file import GAIT_FILE
-from pinred.scene.toml.reader import SCENE
-from pinred.scene.toml.reader import scene_schema
-from pinred.scene.toml.schema import LARGEST
-from pinred.scene.toml.schema import Place
-from pinred.scene.toml.schema import Table
+from pinred.scene.toml.reader import SCENE, scene_schema
+from pinred.scene.toml.schema import LARGEST, Place, Table
 from pinred.simulation.plan import plan_of
 from pinred.simulation.simulate import explain_plan
 

@@ -6,49 +6,45 @@ import math
 import os
 import subprocess
 import sys
-import numpy as np
-import pinocchio as pin
-import pytest
-import pinred
 from collections.abc import Callable
-from dataclasses import MISSING
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from inspect import signature
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinred
 from pinred.cli.main import main
 from pinred.common.argument_kinds import Default
-from pinred.forces import PD
-from pinred.forces import ComputedTorque
-from pinred.forces import Damper
-from pinred.forces import Friction
-from pinred.forces import PotentialEnergy
-from pinred.forces import Spring
-from pinred.forces import Torque
-from pinred.forces import Wrench
-from pinred.forces.force import Force
-from pinred.forces.force import Limit
-from pinred.integrators.methods import DOP853
-from pinred.integrators.methods import METHODS
-from pinred.integrators.methods import RKMK4
-from pinred.integrators.methods import AdaptiveGauss
-from pinred.integrators.methods import Gauss
-from pinred.integrators.methods import Method
-from pinred.integrators.methods import Radau
-from pinred.integrators.methods import Tsit5
-from pinred.integrators.methods import Variational
-from pinred.scene.scene_options import LOAD
-from pinred.scene.scene_options import METHOD_TABLES
-from pinred.scene.toml.reader import IMPACTS
-from pinred.scene.toml.reader import SCENE
-from pinred.scene.toml.reader import read_scene_file
+from pinred.forces import (
+    PD,
+    ComputedTorque,
+    Damper,
+    Friction,
+    PotentialEnergy,
+    Spring,
+    Torque,
+    Wrench,
+)
+from pinred.forces.force import Force, Limit
+from pinred.integrators.methods import (
+    DOP853,
+    METHODS,
+    RKMK4,
+    AdaptiveGauss,
+    Gauss,
+    Method,
+    Radau,
+    Tsit5,
+    Variational,
+)
+from pinred.scene.scene_options import LOAD, METHOD_TABLES
+from pinred.scene.toml.reader import IMPACTS, SCENE, read_scene_file
 from pinred.scene.toml.value_tables import FORCES
-from pinred.signals import Constant
-from pinred.signals import Expression
-from pinred.signals import Fourier
-from pinred.signals import Hold
-from pinred.signals import Linear
-from pinred.signals import Spline
+from pinred.signals import Constant, Expression, Fourier, Hold, Linear, Spline
 from pinred.system.robot_files import has_example_robots
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

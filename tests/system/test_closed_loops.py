@@ -2,36 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
 import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
-from loop_robots import crank_angles
-from loop_robots import four_bar
-from loop_robots import gripper
-from loop_robots import random_loops
-from loop_robots import sliding_bars
-from robot_texts import body
-from robot_texts import joint
-from robot_texts import link
-from robot_texts import mjcf
-from robot_texts import robot
+from loop_robots import crank_angles, four_bar, gripper, random_loops, sliding_bars
+from robot_texts import body, joint, link, mjcf, robot
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
+
+import pinred
 from pinred.cli.main import main
 from pinred.common.arrays import Array
-from pinred.common.errors import InputError
-from pinred.common.errors import ModelError
+from pinred.common.errors import InputError, ModelError
 from pinred.system.loops import loop_assembly
-from pinred.system.loops.kinematics import LoopKinematics
-from pinred.system.loops.kinematics import loop_values
-from pinred.system.loops.loop import KINDS
-from pinred.system.loops.loop import Loop
-from pinred.system.loops.loop import parse_loops
+from pinred.system.loops.kinematics import LoopKinematics, loop_values
+from pinred.system.loops.loop import KINDS, Loop, parse_loops
+
 
 @pytest.mark.parametrize("kind", ["3d", "z"])
 def test_four_bar_has_rank_two_and_closes_in_closed_form(kind: str) -> None:

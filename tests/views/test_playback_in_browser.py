@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import io
 import time
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from pathlib import Path
 from headless_browser import Browser
 from numpy.typing import NDArray
 from PIL import Image
-from played_robots import BY_HAND
-from played_robots import OTHERS
-from played_robots import ROBOTS
+from played_robots import BY_HAND, OTHERS, ROBOTS
+
+import pinred
 from pinred.views.playback.page import Player
 from pinred.views.playback.playback import playback
 from pinred.views.playback.view_options import View

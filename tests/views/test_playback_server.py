@@ -8,17 +8,20 @@ import signal
 import socket
 import subprocess
 import sys
-import numpy as np
-import pytest
-import pinred
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import pytest
 from commands import refused
+
+import pinred
 from pinred.cli import view_commands
 from pinred.cli.main import main
 from pinred.views.motions import play_view
 from pinred.views.playback.page import Player
 from pinred.views.playback.view_options import View
+
 
 def listeners(port: int) -> set[str]:
     """Return the addresses that listen at a port, from the kernel's tables."""
