@@ -46,7 +46,6 @@ def run(program: str, install: Path, **variables: str) -> subprocess.CompletedPr
     unwanted = ("XDG_", "NUMBA_", "PINRED_CACHE")
     environment = {k: v for k, v in os.environ.items() if not k.startswith(unwanted)}
     environment |= {"HOME": "/proc/no-home", "PYTHONPATH": str(install)} | variables
-    environment["PYTHONPYCACHEPREFIX"] = str(install.parent / "bytecode")
     return subprocess.run(
         [sys.executable, "-c", program], cwd=install, env=environment,
         capture_output=True, text=True, check=False,
