@@ -261,6 +261,7 @@ def test_lifted_field_scales_with_quaternion_length() -> None:
         np.testing.assert_allclose(rates, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
+@pytest.mark.by_hand("1e-09-solo12")
 @pytest.mark.sampled
 @pytest.mark.parametrize("robot", [*ROBOTS, "satellite_two_arms", "solo12", "rigid_body"])
 @pytest.mark.parametrize("tolerance", [1e-5, 1e-9, 1e-13])

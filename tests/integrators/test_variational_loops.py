@@ -167,6 +167,8 @@ def test_checkpointed_run_continues_with_the_same_bits(
     assert np.array_equal(whole.x, continued.x)
 
 
+# Loops and couplings have tests of their own, with this order.
+@pytest.mark.by_hand
 def test_gripper_with_coupling_moves_as_with_dop853(tmp_path: Path) -> None:
     """Two loops and a follower; the error falls with the square of the step."""
     path = tmp_path / "gripper.xml"

@@ -154,6 +154,7 @@ def test_empty_and_unused_inputs() -> None:
     )
 
 
+@pytest.mark.by_hand("True-2", "True-3", "True-4", "False-1", "False-5", "False-7", "False-12")
 @pytest.mark.parametrize("angles", [1, 2, 3, 4, 5, 7, 12, 33])
 @pytest.mark.parametrize("fma", [True, False])
 def test_nested_sines_equal_casadi(angles: int, fma: bool, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -165,6 +165,7 @@ def test_robots_in_all_units_are_accepted(robot: str, units: Units) -> None:
     assert refusals(*scaled(robot, units)) == {}
 
 
+@pytest.mark.by_hand("balls-units2")
 @pytest.mark.sampled
 @pytest.mark.parametrize(("robot", "units"), QUICK)
 def test_wrong_sign_is_found_in_other_units(

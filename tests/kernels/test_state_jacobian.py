@@ -41,7 +41,7 @@ def require_equal_jacobians(kernel: Kernel) -> None:
 
 
 # SE3-2 contains their terms.
-@pytest.mark.by_hand("SO3-3", "SE2-4")
+@pytest.mark.by_hand("SO3-3", "SE2-4", "R-2")
 @pytest.mark.parametrize(
     ("group", "limbs"), [("SE3", 2), ("SO3", 3), ("SE2", 4), ("SO2", 1), ("R", 2)]
 )

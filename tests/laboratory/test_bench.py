@@ -73,6 +73,7 @@ def test_first_call_is_timed_in_another_process() -> None:
     assert 0.3 < call_timing.time_in_fresh_process(slow) < 1e3
 
 
+@pytest.mark.by_hand("flow.vjp", "simulate, Radau")
 @pytest.mark.parametrize("name", call_timing.CALLS)
 def test_first_calls_are_valid_programs(name: str) -> None:
     """The source text of each call runs with the names that the program defines."""

@@ -384,6 +384,7 @@ def test_missing_example_robots_are_reported(monkeypatch: pytest.MonkeyPatch) ->
     ]
 
 
+@pytest.mark.by_hand("talos", "planar-50", "spatial-50")
 @pytest.mark.parametrize("name", sorted(SCENES))
 def test_scenes_have_names_and_states(name: str) -> None:
     """Each scene has its key as name and a state of the right size."""

@@ -381,6 +381,8 @@ def test_chain_with_a_gap_is_refused_by_name(
         call()
 
 
+# Turns in space contain turns in the plane.
+@pytest.mark.by_hand("SE2")
 @pytest.mark.parametrize("group", ["SE2", "SE3"])
 def test_chain_goes_on_over_many_turns(group: str) -> None:
     """Neither angles nor quaternions of the relative motion jump, also across the capture."""

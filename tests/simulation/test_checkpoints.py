@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 import pinred
+from pinred.cli.main import main
 from pinred.common.errors import InputError
 from pinred.forces import Command, Controller, Torque
 from pinred.integrators.stepping import run_state
@@ -112,6 +113,8 @@ def check_equal(whole: pinred.Trajectory, other: pinred.Trajectory) -> None:
     np.testing.assert_array_equal(whole(times).q, other(times).q)
 
 
+# Thinned runs, and runs with stops, resume Gauss methods.
+@pytest.mark.by_hand("Gauss(step=0.01, order=4, solver='auto')")
 @pytest.mark.parametrize(
     "method",
     [
@@ -311,7 +314,7 @@ method = {{ name = "RKMK4", step = 0.0005 }}
 
 PROGRAM = """
 import sys
-from pinred.cli.entry import main
+from pinred.cli.main import main
 from pinred.simulation import checkpoint
 checkpoint.INTERVAL = 0.05
 sys.exit(main())
@@ -319,7 +322,7 @@ sys.exit(main())
 
 
 @pytest.mark.slow
-def test_interrupted_process_continues(tmp_path: Path) -> None:
+def test_interrupted_process_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """After `kill -INT`, the same command continues, and its motion has the same bits."""
     scene = tmp_path / "scene.toml"
     scene.write_text(SCENE.format(end=400.0))
@@ -338,7 +341,8 @@ def test_interrupted_process_continues(tmp_path: Path) -> None:
     assert {file.name for file in tmp_path.iterdir()} == {"scene.toml", "run.ckpt"}
     steps = registers(path)[2]["steps"].item()
     assert 0 < steps < 800_000
-    subprocess.run(command, cwd=tmp_path, check=True)
+    monkeypatch.chdir(tmp_path)
+    assert main(command[3:]) == 0
     whole = pinred.simulate(pinred.load_scene(scene))
     np.testing.assert_array_equal(pinred.read_recording(tmp_path / "out.npz").q, whole.q)
 

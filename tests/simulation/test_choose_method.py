@@ -144,6 +144,7 @@ def test_damping_at_tight_tolerances_gets_adaptive_gauss() -> None:
     assert isinstance(members_plan(held).method, DOP853)
 
 
+@pytest.mark.by_hand("45-2100.0-10.0")
 @pytest.mark.parametrize(("seed", "folds", "radians"), [(45, 2.1e3, 10.0), (149, 3.2e4, 460.0)])
 def test_motions_that_settle_get_dop853(seed: int, folds: float, radians: float) -> None:
     """Without oscillation, or after a long decay, its steps are long: it does less work."""
@@ -201,6 +202,7 @@ def test_rates_of_a_damped_joint() -> None:
     assert weak.oscillation == pytest.approx(np.sqrt(K / M - (0.05 / M) ** 2), rel=1e-6)
 
 
+@pytest.mark.by_hand("limit0")
 @pytest.mark.parametrize("limit", [Limit(0.5), Limit(0.5, smooth=True)])
 def test_kinks_get_dop853(limit: Limit) -> None:
     """Long steps miss a kink, and their error estimate is wrong there."""

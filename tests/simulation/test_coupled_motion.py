@@ -27,6 +27,7 @@ Engine = Literal["compiled", "pinocchio"]
 ENGINES: list[Engine] = ["compiled", "pinocchio"]
 
 
+@pytest.mark.by_hand("compiled-SE3-1")
 @pytest.mark.sampled
 @pytest.mark.parametrize(
     ("group", "seed"),
@@ -291,6 +292,8 @@ def test_random_states_respect_limits_of_followers(tmp_path: Path) -> None:
     assert (x >= -0.01 / 3.0).all()
 
 
+# Identical branches with couplings share lanes, too.
+@pytest.mark.by_hand
 @pytest.mark.sampled
 @pytest.mark.parametrize("seed", [5, 11])
 def test_joined_limbs_beside_couplings_agree_with_aba(seed: int) -> None:

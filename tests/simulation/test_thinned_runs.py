@@ -116,7 +116,11 @@ def followed_scene(method: Any, *, terminal: bool = False, controlled: bool = Tr
 
 
 # Runs with a controller, or with a terminal event, or both, contain these steps.
-@pytest.mark.by_hand("False-False-Gauss(step=0.01, order=4, solver='auto')")
+# Each condition is in another case.
+@pytest.mark.by_hand(
+    "False-False-Gauss(step=0.01, order=4, solver='auto')",
+    "True-False-Gauss(step=0.01, order=4, solver='auto')",
+)
 @pytest.mark.parametrize(
     "method",
     [METHODS[0], *(pytest.param(method, marks=pytest.mark.by_hand) for method in METHODS[1:])],

@@ -176,6 +176,7 @@ def test_store_of_other_numbers_names_the_first_difference(written: Path) -> Non
             pinred.sweep(SCENE, vary, outputs=["x"], store=written)
 
 
+@pytest.mark.by_hand("True")
 @pytest.mark.parametrize("broken", [False, True])
 def test_interrupted_sweep_continues_with_the_same_bits(
     broken: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
