@@ -382,6 +382,7 @@ def test_load_rejects_invalid_object_code() -> None:
     assert compile_object(ca.Function("f", [x], [2 * x]), "f") == code
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("wide", [4, 8])
 @pytest.mark.parametrize("name", EXACT + ROUNDED)
 def test_wide_code_equals_casadi_in_each_lane(name: str, wide: int) -> None:

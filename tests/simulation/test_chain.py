@@ -170,6 +170,8 @@ def test_damaged_recipe_is_refused(chain: Chain, tmp_path: Path, recipe: str, wo
         _ = pinred.read_recording(tmp_path / "chain.npz").system
 
 
+# `test_file_with_a_landing_goes_on_in_stance` has such a chain.
+@pytest.mark.by_hand
 def test_landing_in_a_chain_goes_on_in_stance(tmp_path: Path) -> None:
     """A flight, a landing and the motion about the foot are one motion of the robot in flight."""
     rng = np.random.default_rng(0)

@@ -152,9 +152,9 @@ def test_forces_on_follower_act_on_leader_times_ratio(crank: pinred.System) -> N
         assert a.energy_balance.residual == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.by_hand("pinocchio")
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.sampled
 def test_followers_of_prescribed_leader_follow_the_plan(engine: Engine) -> None:
     """One torque on the prescribed leader drives all its followers."""
     system = make_case("SE3", 6, 1).system

@@ -69,7 +69,7 @@ def _rows(batches: list[Array]) -> list[list[Array]]:
 
 
 # Differences judge these Jacobians, too.
-@pytest.mark.by_hand("mass", "breaks", "balls")
+@pytest.mark.by_hand("mass", "breaks", "balls", "prescribed")
 @pytest.mark.parametrize("name", [*_CASES, "loose"])
 def test_jacobians_are_those_of_single_flows(name: str) -> None:
     """Single flows propagate eight directions over stored steps, in other code."""

@@ -82,8 +82,8 @@ def test_bumps_are_not_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (np.array(bare) > 1e-4).sum() >= 5
 
 
+@pytest.mark.by_hand("pinocchio")
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.sampled
 def test_resolved_bump_passes_the_comparison(engine: Engine) -> None:
     """Its reference solution stops where the motion does."""
     options: dict[str, Any] = {"parameters": {"centre": 1.3, "width": 1e-3}, "duration": 2.0}
