@@ -170,6 +170,8 @@ DOCUMENT = (Path(__file__).parents[2] / "docs/plots.md").read_text(encoding="utf
 COMMANDS = re.findall(r"^\$ pinred plot (?!measured)(.*)$", DOCUMENT, re.MULTILINE)
 
 
+# Other tests draw phases and write all formats.
+@pytest.mark.by_hand("cartpole --kind phase --out cartpole.pdf")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "command",

@@ -56,11 +56,13 @@ def list_modules() -> dict[str, Path]:
     return modules
 
 
-def list_imports() -> list[Import]:
-    """Return all imports of pinred by pinred, including lazy imports, type imports and stubs."""
+def list_imports(package: str = "pinred") -> list[Import]:
+    """Return all imports of pinred by a package, with lazy imports, type imports and stubs."""
     modules = list_modules()
     imports = []
     for name, path in modules.items():
+        if not f"{name}.".startswith(f"{package}."):
+            continue
         stub = path.with_suffix(".pyi")
         for file in (path, stub) if stub.exists() else (path,):
             for line, target in _imported_names(file, name, is_package=path.name == "__init__.py"):

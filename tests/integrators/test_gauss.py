@@ -2,31 +2,39 @@
 
 from __future__ import annotations
 
+import casadi as ca
+import numpy as np
+import pytest
+import pinred
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from math import sqrt
 from typing import Any
-
-import casadi as ca
-import numpy as np
-import pytest
 from orbits import kepler_orbit
-from orders import ROBOTS, errors_at_the_end, fit_order
-
-import pinred
-from pinred import DOP853, AdaptiveGauss, Gauss
+from orders import ROBOTS
+from orders import errors_at_the_end
+from orders import fit_order
+from pinred import DOP853
+from pinred import AdaptiveGauss
+from pinred import Gauss
 from pinred.common.arrays import Array
-from pinred.common.errors import NoConvergence, NonFiniteState, TooManySteps
-from pinred.common.machine_code import NativeCode, load_object
+from pinred.common.errors import NoConvergence
+from pinred.common.errors import NonFiniteState
+from pinred.common.errors import TooManySteps
+from pinred.common.machine_code import NativeCode
+from pinred.common.machine_code import load_object
 from pinred.integrators.implicit import gauss_fixed_step as gauss
 from pinred.integrators.implicit.gauss_stages import tables
-from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.integrate import Solution
+from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.stepping import run_state
-from pinred.judge.reference_solution import FullMotion, FullState
+from pinred.judge.reference_solution import FullMotion
+from pinred.judge.reference_solution import FullState
 from pinred.kernels import build
-from pinred.kernels.build import tangent_of, wide_rate
+from pinred.kernels.build import tangent_of
+from pinred.kernels.build import wide_rate
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.machine.native import compile_object
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
@@ -260,6 +268,7 @@ def test_lifted_field_scales_with_quaternion_length() -> None:
         np.testing.assert_allclose(rates, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
+@pytest.mark.by_hand("1e-09-solo12")
 @pytest.mark.sampled
 @pytest.mark.parametrize("robot", [*ROBOTS, "satellite_two_arms", "solo12", "rigid_body"])
 @pytest.mark.parametrize("tolerance", [1e-5, 1e-9, 1e-13])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from graphlib import CycleError, TopologicalSorter
-
 import package_graph
 import pytest
+from collections.abc import Iterable
+from graphlib import CycleError
+from graphlib import TopologicalSorter
 from package_graph import Import
 
 INTEGRATORS = "pinred.integrators"
@@ -30,7 +30,7 @@ def folders(imports: Iterable[Import]) -> dict[str, set[str]]:
 @pytest.mark.slow
 def test_subpackages_have_no_import_cycle() -> None:
     """Machine code imports no method, and methods import no function that runs them."""
-    graph = folders(package_graph.list_imports())
+    graph = folders(package_graph.list_imports(INTEGRATORS))
     order = list(TopologicalSorter(graph).static_order())
     assert order[0] == f"{INTEGRATORS}.stepping"
     assert {by for by in graph if f"{INTEGRATORS}.methods" in graph[by]} == {
@@ -45,4 +45,4 @@ def test_import_cycle_is_detected() -> None:
     """A stepper that imports a constant from `methods` closes a cycle."""
     back = Import(f"{INTEGRATORS}.implicit.gauss_stages", 1, f"{INTEGRATORS}.methods.method")
     with pytest.raises(CycleError):
-        TopologicalSorter(folders([*package_graph.list_imports(), back])).prepare()
+        TopologicalSorter(folders([*package_graph.list_imports(INTEGRATORS), back])).prepare()

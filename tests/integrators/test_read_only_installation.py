@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from pathlib import Path
-from shutil import copytree, ignore_patterns
-
 import pytest
-
 import pinred
+from pathlib import Path
+from shutil import copytree
+from shutil import ignore_patterns
 
 # Create all steppers, and compile one function. Print its result, and whether it was compiled.
 PROGRAM = """
@@ -46,7 +45,6 @@ def run(program: str, install: Path, **variables: str) -> subprocess.CompletedPr
     unwanted = ("XDG_", "NUMBA_", "PINRED_CACHE")
     environment = {k: v for k, v in os.environ.items() if not k.startswith(unwanted)}
     environment |= {"HOME": "/proc/no-home", "PYTHONPATH": str(install)} | variables
-    environment["PYTHONPYCACHEPREFIX"] = str(install.parent / "bytecode")
     return subprocess.run(
         [sys.executable, "-c", program], cwd=install, env=environment,
         capture_output=True, text=True, check=False,

@@ -5,26 +5,29 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from pathlib import Path
-from string import ascii_lowercase, ascii_uppercase, digits
-from typing import Any
-
 import llvmlite.binding as llvm
 import numba
 import numpy as np
 import pytest
+import pinred
+from pathlib import Path
+from string import ascii_lowercase
+from string import ascii_uppercase
+from string import digits
+from typing import Any
 from numba import float64
 from ship_code import find_differences
-
-import pinred
 from pinred.common.errors import MissingPackageError
-from pinred.common.machine_code import create_machine, parse_bitcode
+from pinred.common.machine_code import create_machine
+from pinred.common.machine_code import parse_bitcode
 from pinred.common.object_cache import ObjectCache
 from pinred.integrators.implicit import radau_iia
 from pinred.integrators.methods import METHODS
-from pinred.integrators.stepping import numba_functions, shipped_code
+from pinred.integrators.stepping import numba_functions
+from pinred.integrators.stepping import shipped_code
 from pinred.integrators.stepping.call_wrapper import argument_type
-from pinred.integrators.stepping.compiling import CompiledFunction, compiled
+from pinred.integrators.stepping.compiling import CompiledFunction
+from pinred.integrators.stepping.compiling import compiled
 from pinred.integrators.stepping.intrinsics import from_lanes
 from pinred.integrators.stepping.numba_functions import extract_bitcode
 from pinred.integrators.stepping.step_loop import Stepper
@@ -133,8 +136,9 @@ def test_shipped_code_runs_on_every_cpu_and_python() -> None:
                    if value.is_declaration}  # fmt: skip
         assert {name for name in foreign if not name.startswith("llvm.")} <= allowed
         assert not [name for name in foreign if name.startswith(("llvm.x86", "llvm.aarch64"))]
-        assert "target-cpu" not in str(module)
-        assert "target-features" not in str(module)
+        text = str(module)
+        assert "target-cpu" not in text
+        assert "target-features" not in text
 
 
 def writer_of(bitcode: bytes) -> str:

@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+import numpy as np
+import pytest
+import pinred
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-import pytest
-from discrete_action import STIFFNESS, Action, points_of
-from loop_robots import five_bar, four_bar, gripper, random_loops
+from discrete_action import STIFFNESS
+from discrete_action import Action
+from discrete_action import points_of
+from loop_robots import five_bar
+from loop_robots import four_bar
+from loop_robots import gripper
+from loop_robots import random_loops
 from orders import fit_order
-
-import pinred
-from pinred import Gauss, Variational
+from pinred import Gauss
+from pinred import Variational
 from pinred.common.arrays import Array
-from pinred.common.errors import KernelMismatch, NoConvergence
+from pinred.common.errors import KernelMismatch
+from pinred.common.errors import NoConvergence
 from pinred.integrators.stepping import run_state
-from pinred.judge.reference_solution import FullMotion, FullState
+from pinred.judge.reference_solution import FullMotion
+from pinred.judge.reference_solution import FullState
 from pinred.kernels import build
 from pinred.simulation import checkpoint
-from pinred.system.loops.kinematics import loop_jacobian, loop_values
+from pinred.system.loops.kinematics import loop_jacobian
+from pinred.system.loops.kinematics import loop_values
 
 START: dict[str, Any] = {"x0": {"crank": 1.0}, "xdot0": {"crank": 2.0}, "xi0": [0.1, 0.2, 0.3]}
 
@@ -167,6 +174,8 @@ def test_checkpointed_run_continues_with_the_same_bits(
     assert np.array_equal(whole.x, continued.x)
 
 
+# Loops and couplings have tests of their own, with this order.
+@pytest.mark.by_hand
 def test_gripper_with_coupling_moves_as_with_dop853(tmp_path: Path) -> None:
     """Two loops and a follower; the error falls with the square of the step."""
     path = tmp_path / "gripper.xml"

@@ -284,6 +284,7 @@ def sphere_tree(seed: int) -> pin.Model:
     return model
 
 
+@pytest.mark.by_hand("1", "3")
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.sampled
@@ -325,6 +326,7 @@ def test_validation_scales_with_small_robot(name: str) -> None:
         validate_kernel(Wrong(kernel, "out", where.start, where.stop, 1e-9))  # type: ignore[arg-type]
 
 
+@pytest.mark.by_hand("1e-12-0")
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("ratio", [1e-6, 1e-12, 1e-14])
 @pytest.mark.sampled

@@ -64,6 +64,8 @@ def test_velocity_of_light_links_keeps_its_digits(share: float) -> None:
     assert error < 1e-14
 
 
+# The velocity that lost digits is tested below.
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_compare_passes_for_light_links_in_loops() -> None:
     """The kernel was refused for a share of 1e-6: a reference of the validation lost digits."""

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import re
 import time
-from concurrent.futures import ThreadPoolExecutor
-
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from concurrent.futures import ThreadPoolExecutor
+from hypothesis import assume
+from hypothesis import given
 from hypothesis import strategies as st
-from native_functions import build, callable_of
+from native_functions import build
+from native_functions import callable_of
 from strategies import examples
-
 from pinred.common.arrays import Array
-from pinred.common.errors import InputError, UnsupportedOperationError
-from pinred.common.machine_code import cpu_target, load_object
-from pinred.kernels.machine import lowering, native
+from pinred.common.errors import InputError
+from pinred.common.errors import UnsupportedOperationError
+from pinred.common.machine_code import cpu_target
+from pinred.common.machine_code import load_object
+from pinred.kernels.machine import lowering
+from pinred.kernels.machine import native
 from pinred.kernels.machine.native import compile_object
 from pinred.reduction.tree.identical_branches import Lanes
 
@@ -156,6 +159,7 @@ def test_empty_and_unused_inputs() -> None:
     )
 
 
+@pytest.mark.by_hand("True-2", "True-3", "True-4", "False-1", "False-5", "False-7", "False-12")
 @pytest.mark.parametrize("angles", [1, 2, 3, 4, 5, 7, 12, 33])
 @pytest.mark.parametrize("fma", [True, False])
 def test_nested_sines_equal_casadi(angles: int, fma: bool, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -383,6 +387,7 @@ def test_load_rejects_invalid_object_code() -> None:
     assert compile_object(ca.Function("f", [x], [2 * x]), "f") == code
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("wide", [4, 8])
 @pytest.mark.parametrize("name", EXACT + ROUNDED)
 def test_wide_code_equals_casadi_in_each_lane(name: str, wide: int) -> None:

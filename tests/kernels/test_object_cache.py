@@ -327,8 +327,8 @@ def contend(folder: Path, seed: int) -> int:
 @pytest.mark.slow
 def test_concurrent_processes_see_complete_entries(folder: Path) -> None:
     """Processes that use the same keys see neither fractions nor warnings."""
-    with multiprocessing.get_context("spawn").Pool(4) as pool:
-        found = pool.starmap(contend, [(folder, seed) for seed in range(4)])
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        found = pool.starmap(contend, [(folder, seed) for seed in range(2)])
     assert min(found) > 0
     assert not list(folder.glob(".*.tmp"))
     assert len(ObjectCache(folder).entries()) <= 2

@@ -289,6 +289,7 @@ def balls(**options: Any) -> Kernel:
     return kernel_of(plan_of(scene), zero_momentum=False)
 
 
+@pytest.mark.by_hand("pushed")
 @pytest.mark.parametrize(
     "make",
     [heavy_pivot, pushed_tree, satellite, balls, lambda: balls(method=pinred.Gauss(0.1))],

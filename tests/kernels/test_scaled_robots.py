@@ -6,21 +6,28 @@ and times a thousand times smaller and larger.
 
 from __future__ import annotations
 
+import numpy as np
+import pytest
+import pinred
 from collections.abc import Callable
 from functools import partial
 from typing import Any
-
-import numpy as np
-import pytest
-from scaled_robots import ROBOTS, Units, corners, refusals, scaled, weld
-
-import pinred
+from scaled_robots import ROBOTS
+from scaled_robots import Units
+from scaled_robots import corners
+from scaled_robots import refusals
+from scaled_robots import scaled
+from scaled_robots import weld
 from pinred.common.arrays import Array
 from pinred.kernels import build
-from pinred.kernels.build import jacobian_by_columns, tangent_of, validate_jacobian
-from pinred.kernels.differentiable import Differentiable, Sample
+from pinred.kernels.build import jacobian_by_columns
+from pinred.kernels.build import tangent_of
+from pinred.kernels.build import validate_jacobian
+from pinred.kernels.differentiable import Differentiable
+from pinred.kernels.differentiable import Sample
 from pinred.kernels.flow_functions import rate_of
-from pinred.kernels.kernel import Kernel, evaluate
+from pinred.kernels.kernel import Kernel
+from pinred.kernels.kernel import evaluate
 from pinred.kernels.validation import validate_kernel
 from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
@@ -164,6 +171,7 @@ def test_robots_in_all_units_are_accepted(robot: str, units: Units) -> None:
     assert refusals(*scaled(robot, units)) == {}
 
 
+@pytest.mark.by_hand("balls-units2")
 @pytest.mark.sampled
 @pytest.mark.parametrize(("robot", "units"), QUICK)
 def test_wrong_sign_is_found_in_other_units(
@@ -186,6 +194,8 @@ def test_wrong_sign_is_found_in_all_units(
     assert_wrong_signs_are_found(kernel, monkeypatch, [rate_of(kernel)])
 
 
+# Robots with loops are accepted in all units, and batches are those of single runs.
+@pytest.mark.by_hand
 def test_batches_of_welded_arms_are_accepted() -> None:
     """Two welded arms, whose loop equations are ill-conditioned away from closed shapes."""
     system = pinred.load(text=weld(4))

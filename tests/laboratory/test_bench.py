@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
-from pathlib import Path
-from types import SimpleNamespace
-
 import flow_cost
 import numpy as np
 import pinocchio as pin
 import pytest
-from commands import python
-
 import pinred
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from commands import python
 from pinred.cli.main import main
-from pinred.common.errors import InputError, LoadError
-from pinred.laboratory.bench import (
-    Table,
-    bench_kernels,
-    bench_many,
-    bench_threads,
-    call_timing,
-    timing,
-)
+from pinred.common.errors import InputError
+from pinred.common.errors import LoadError
+from pinred.laboratory.bench import Table
+from pinred.laboratory.bench import bench_kernels
+from pinred.laboratory.bench import bench_many
+from pinred.laboratory.bench import bench_threads
+from pinred.laboratory.bench import call_timing
+from pinred.laboratory.bench import timing
 from pinred.laboratory.bench.call_timing import BATCH_SOLVERS
 from pinred.laboratory.bench.problems import chain
 
@@ -68,6 +65,7 @@ def test_first_call_is_timed_in_another_process() -> None:
     assert 0.3 < call_timing.time_in_fresh_process(slow) < 1e3
 
 
+@pytest.mark.by_hand("flow.vjp", "simulate, Radau")
 @pytest.mark.parametrize("name", call_timing.CALLS)
 def test_first_calls_are_valid_programs(name: str) -> None:
     """The source text of each call runs with the names that the program defines."""

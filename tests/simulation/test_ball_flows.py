@@ -60,6 +60,8 @@ def tangent(system: pinred.System, row: str, low: Any, high: Any) -> Array:
     return np.asarray(change.reshape(np.size(low.t), -1))
 
 
+# Differences of ABA judge a tree with two balls, and batches and adapters all columns.
+@pytest.mark.by_hand
 @pytest.mark.parametrize("method", ["DOP853", "Gauss(0.02, 8)"])
 @pytest.mark.sampled
 def test_jacobian_with_ball_equals_differences_of_simulations(

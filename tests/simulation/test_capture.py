@@ -35,6 +35,7 @@ def twist_error(found: Twists, expected: Twists, before: Twists) -> float:
     return float(max(np.abs(found[name] - expected[name]).max() for name in expected) / scale)
 
 
+@pytest.mark.by_hand("trees", "flat")
 @pytest.mark.parametrize("kind", KINDS)
 def test_capture_of_random_pairs_equals_constrained_impulse(kind: str) -> None:
     """Links move as multipliers on both mass matrices say; momentum and energy balance."""
@@ -223,6 +224,7 @@ def frame_of_link(system: pinred.System, pose: Array, x: Array, name: str) -> pi
     return data.oMf[model.getFrameId(name, pin.FrameType.BODY)].copy()
 
 
+@pytest.mark.by_hand("trees", "flat")
 @pytest.mark.parametrize("kind", KINDS)
 def test_release_after_capture_gives_back_both_robots(kind: str) -> None:
     """Mass matrices and poses are those before; links move as those of the joined robot."""

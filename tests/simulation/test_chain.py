@@ -170,6 +170,8 @@ def test_damaged_recipe_is_refused(chain: Chain, tmp_path: Path, recipe: str, wo
         _ = pinred.read_recording(tmp_path / "chain.npz").system
 
 
+# `test_file_with_a_landing_goes_on_in_stance` has such a chain.
+@pytest.mark.by_hand
 def test_landing_in_a_chain_goes_on_in_stance(tmp_path: Path) -> None:
     """A flight, a landing and the motion about the foot are one motion of the robot in flight."""
     rng = np.random.default_rng(0)
@@ -381,6 +383,8 @@ def test_chain_with_a_gap_is_refused_by_name(
         call()
 
 
+# Turns in space contain turns in the plane.
+@pytest.mark.by_hand("SE2")
 @pytest.mark.parametrize("group", ["SE2", "SE3"])
 def test_chain_goes_on_over_many_turns(group: str) -> None:
     """Neither angles nor quaternions of the relative motion jump, also across the capture."""

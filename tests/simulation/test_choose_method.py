@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import partial
-from typing import Any
-
 import casadi as ca
 import method_study
 import numpy as np
 import pytest
+import pinred
+from dataclasses import replace
+from functools import partial
+from typing import Any
 from method_study import held_robot
 from trees import limbed_model
-
-import pinred
-from pinred import DOP853, AdaptiveGauss, Gauss, Radau
-from pinred.forces import PD, Controller, Damper, Limit, Spring, Torque
-from pinred.judge.reference_solution import FullMotion, FullState
+from pinred import DOP853
+from pinred import AdaptiveGauss
+from pinred import Gauss
+from pinred import Radau
+from pinred.forces import PD
+from pinred.forces import Controller
+from pinred.forces import Damper
+from pinred.forces import Limit
+from pinred.forces import Spring
+from pinred.forces import Torque
+from pinred.judge.reference_solution import FullMotion
+from pinred.judge.reference_solution import FullState
 from pinred.signals import Hold
-from pinred.simulation.choose_method import LANES_GAIN, Choice, radau_gain, rates_near_rest
-from pinred.simulation.plan import members_plan, plan_of
-
+from pinred.simulation.choose_method import LANES_GAIN
+from pinred.simulation.choose_method import Choice
+from pinred.simulation.choose_method import radau_gain
+from pinred.simulation.choose_method import rates_near_rest
+from pinred.simulation.plan import members_plan
+from pinred.simulation.plan import plan_of
 
 def scene(system: pinred.System, **options: Any) -> pinred.Scene:
     """Return a scene with one report, at its end."""
@@ -146,6 +156,7 @@ def test_damping_at_tight_tolerances_gets_adaptive_gauss() -> None:
     assert isinstance(members_plan(held).method, DOP853)
 
 
+@pytest.mark.by_hand("45-2100.0-10.0")
 @pytest.mark.parametrize(("seed", "folds", "radians"), [(45, 2.1e3, 10.0), (149, 3.2e4, 460.0)])
 def test_motions_that_settle_get_dop853(seed: int, folds: float, radians: float) -> None:
     """Without oscillation, or after a long decay, its steps are long: it does less work."""
@@ -203,6 +214,7 @@ def test_rates_of_a_damped_joint() -> None:
     assert weak.oscillation == pytest.approx(np.sqrt(K / M - (0.05 / M) ** 2), rel=1e-6)
 
 
+@pytest.mark.by_hand("limit0")
 @pytest.mark.parametrize("limit", [Limit(0.5), Limit(0.5, smooth=True)])
 def test_kinks_get_dop853(limit: Limit) -> None:
     """Long steps miss a kink, and their error estimate is wrong there."""

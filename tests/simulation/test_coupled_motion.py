@@ -27,6 +27,7 @@ Engine = Literal["compiled", "pinocchio"]
 ENGINES: list[Engine] = ["compiled", "pinocchio"]
 
 
+@pytest.mark.by_hand("compiled-SE3-1")
 @pytest.mark.sampled
 @pytest.mark.parametrize(
     ("group", "seed"),
@@ -151,9 +152,9 @@ def test_forces_on_follower_act_on_leader_times_ratio(crank: pinred.System) -> N
         assert a.energy_balance.residual == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.by_hand("pinocchio")
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.sampled
 def test_followers_of_prescribed_leader_follow_the_plan(engine: Engine) -> None:
     """One torque on the prescribed leader drives all its followers."""
     system = make_case("SE3", 6, 1).system
@@ -291,6 +292,8 @@ def test_random_states_respect_limits_of_followers(tmp_path: Path) -> None:
     assert (x >= -0.01 / 3.0).all()
 
 
+# Identical branches with couplings share lanes, too.
+@pytest.mark.by_hand
 @pytest.mark.sampled
 @pytest.mark.parametrize("seed", [5, 11])
 def test_joined_limbs_beside_couplings_agree_with_aba(seed: int) -> None:

@@ -265,6 +265,7 @@ def test_short_crossings_of_the_state_are_sampled_densely() -> None:
     assert len(traj.events["dips"]) == (signs[1:] * signs[:-1] < 0.0).sum() == 30
 
 
+@pytest.mark.by_hand("60.0-0.1999-60")
 @pytest.mark.parametrize(
     ("rate", "level", "least"), [(60.0, 0.199, 60), (60.0, 0.1999, 60), (30.0, -0.199, 30)]
 )

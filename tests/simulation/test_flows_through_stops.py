@@ -140,7 +140,8 @@ def force_switched_at_rest(t: Any, *_: Any) -> Any:
 
 
 # A switch at rest contains a switch in motion.
-@pytest.mark.by_hand("switched_force-inputs1-0.0")
+# A force that switches while a joint rests depends on time, too.
+@pytest.mark.by_hand("switched_force-inputs1-0.0", "time_force-inputs0-0.5")
 @pytest.mark.parametrize(
     ("force", "inputs", "restitution"),
     [
@@ -514,6 +515,8 @@ def beside(second: str, **options: Any) -> pinred.Flow:
     return pinred.flow(slide_beside(second), **{**run, **options})
 
 
+# The refused impact, below, has an arm.
+@pytest.mark.by_hand("arm")
 @pytest.mark.parametrize("second", ["slide", "arm"])
 def test_impact_that_misses_a_joint_at_rest_has_a_derivative(second: str) -> None:
     """The joint at rest stays there, whatever the impulse is."""

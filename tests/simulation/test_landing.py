@@ -198,6 +198,7 @@ def height_by_pinocchio(system: pinred.System, pose: Array, x: Array) -> float:
     return float(up @ frame_of(system, pose, x).translation)
 
 
+@pytest.mark.by_hand("SO2")
 @pytest.mark.sampled
 @pytest.mark.parametrize("group", ["SE3", "SO3", "SE2", "SO2", "R", "RxSE2"])
 def test_height_in_formulas_equals_kinematics(group: str) -> None:

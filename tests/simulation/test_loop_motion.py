@@ -82,6 +82,8 @@ SIZES = {  # joint rates, equations, rank, dimension of the closed shapes
 }
 
 
+# Robots like Cassie have loops of the same kinds.
+@pytest.mark.by_hand("like Digit")
 @pytest.mark.parametrize("robot", SIZES)
 def test_rank_of_loops_of_every_size(robot: str) -> None:
     """Redundant equations are found."""

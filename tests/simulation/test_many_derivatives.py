@@ -68,6 +68,8 @@ def _rows(batches: list[Array]) -> list[list[Array]]:
     return [[batch[k % len(batch)] for batch in batches] for k in range(_COUNT)]
 
 
+# Differences judge these Jacobians, too.
+@pytest.mark.by_hand("mass", "breaks", "balls", "prescribed")
 @pytest.mark.parametrize("name", [*_CASES, "loose"])
 def test_jacobians_are_those_of_single_flows(name: str) -> None:
     """Single flows propagate eight directions over stored steps, in other code."""
@@ -98,6 +100,8 @@ def test_jacobians_agree_with_differences(name: str) -> None:
     np.testing.assert_allclose(sum(sums), expected, rtol=0, atol=1e-5 * np.abs(expected).max())
 
 
+# The other cases have several times, time as a state and parameters of the initial state.
+@pytest.mark.by_hand("attitude", "mass", "balls")
 @pytest.mark.parametrize("name", _CASES)
 def test_jacobians_on_a_device_are_those_of_the_cpu(
     name: str, monkeypatch: pytest.MonkeyPatch

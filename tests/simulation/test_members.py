@@ -313,6 +313,7 @@ def _flows(threads: int) -> list[Any]:
     return compiled_flow.flows_of(group.plan, group.given, group.own, threads)
 
 
+@pytest.mark.by_hand("1")
 @pytest.mark.parametrize("threads", [1, 4])
 def test_members_are_set_up_by_copies_on_threads(
     threads: int, monkeypatch: pytest.MonkeyPatch

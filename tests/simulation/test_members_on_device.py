@@ -106,6 +106,8 @@ def test_states_are_computed_on_the_device(
             assert np.array_equal(getattr(traj, name), values[member]), name
 
 
+# `test_outputs_are_only_those_of_the_fields` computes fewer fields, too.
+@pytest.mark.by_hand
 def test_states_of_shapes_alone_are_computed_on_the_device(
     cat: System, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,6 +33,7 @@ def scene() -> pinred.Scene:
     )  # fmt: skip
 
 
+@pytest.mark.by_hand("deepcopy")
 @pytest.mark.parametrize("copy_of", COPIES)
 def test_copies_give_equal_numbers(copy_of: Any) -> None:
     """Copies of robots, scenes, motions and flows give the same numbers to the last bit."""

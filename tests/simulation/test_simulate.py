@@ -121,6 +121,7 @@ def test_euler_top_agrees_with_elliptic_functions() -> None:
     np.testing.assert_allclose(seen @ z, (c * rates(traj.t)[:, 2]) / L, atol=1e-9)
 
 
+@pytest.mark.by_hand("RxSE2", "R")
 @pytest.mark.parametrize("group", [name for name in GROUPS if GROUPS[name].linear])
 def test_free_fall_is_exact(group: str) -> None:
     """The centre of mass is on its parabola to round-off, and the shape is unaffected."""

@@ -25,6 +25,7 @@ SIZES = {"R": (0, 0, 0, 0), "SO2": (1, 0, 1, 0), "SE2": (1, 0, 1, 0), "RxSE2": (
 SIZES |= dict.fromkeys(("SO3", "SE3"), (4, 3, 4, 0))
 
 
+@pytest.mark.by_hand("RxSE2")
 @pytest.mark.slow
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.sampled

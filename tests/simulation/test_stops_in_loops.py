@@ -38,6 +38,8 @@ def five_bar_motion(restitution: float, forces: list[Torque], **options: Any) ->
     return pinred.simulate(load_five_bar(), **options)
 
 
+# A slide that closes a loop bounces, below, and passes the comparison.
+@pytest.mark.by_hand
 def test_impacts_in_a_loop_pass_the_comparison() -> None:
     """The comparison takes impulses from the full mass matrix and all equations of the loop."""
     traj = five_bar_motion(0.5, [], **COARSE, duration=0.45)

@@ -127,6 +127,7 @@ def test_balls_with_stops_pass_the_comparison(stop: pinred.BallStop) -> None:
     assert report.verdict is Verdict.PASSED, report
 
 
+@pytest.mark.by_hand("axial")
 @pytest.mark.parametrize("moments", [[0.1, 0.1, 0.1], [0.1, 0.1, 0.15]], ids=["rotor", "axial"])
 def test_symmetric_balls_lose_their_constant_momenta_at_stops(moments: list[float]) -> None:
     """The ball has constant momenta between impacts, which a swing stop changes."""
@@ -236,6 +237,8 @@ def resting(kind: str, **options: Any) -> pinred.Trajectory:
     return pinred.simulate(joined_bodies(), **run | options)
 
 
+# All stops at once contain each.
+@pytest.mark.by_hand("swing", "twist", "angle")
 @pytest.mark.parametrize("kind", REST)
 def test_balls_at_rest_agree_with_full_state_dynamics(kind: str) -> None:
     """The full state obeys pin.aba with multipliers of tr(W R) ≥ c, which is another formula."""
@@ -253,6 +256,8 @@ def test_balls_at_rest_agree_with_full_state_dynamics(kind: str) -> None:
     np.testing.assert_allclose(traj.impacts.energy_lost.sum(), lost, rtol=1e-9)
 
 
+# Balls at rest agree with full-state dynamics, above.
+@pytest.mark.by_hand
 @pytest.mark.parametrize(
     "kind",
     [

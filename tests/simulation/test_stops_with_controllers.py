@@ -36,7 +36,8 @@ def controlled(force: Any, **options: Any) -> pinred.Trajectory:
 
 
 # `test_stops_of_balls.py` presses a ball against its stop by computed torque.
-@pytest.mark.by_hand("computed torque")
+# A controller calls a function of the same state.
+@pytest.mark.by_hand("computed torque", "PD")
 @pytest.mark.parametrize(
     "force",
     [

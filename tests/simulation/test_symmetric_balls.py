@@ -52,6 +52,7 @@ def without_symmetry(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     return lambda: monkeypatch.setattr(plans, "symmetric_balls_of", lambda *_: ())
 
 
+@pytest.mark.by_hand("0.0")
 @pytest.mark.parametrize("armature", [0.0, 0.05])
 def test_gyrostat_equals_taylor_series_of_30_digits(armature: float) -> None:
     """Attitudes and rates after 3 s to 1e-12, with either kind of method."""

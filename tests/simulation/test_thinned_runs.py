@@ -45,6 +45,7 @@ def run_both(
     return stored, thinned
 
 
+@pytest.mark.by_hand("Variational(step=0.005)")
 @pytest.mark.parametrize("method", METHODS, ids=str)
 def test_thinned_run_has_the_bits_of_stored_steps(
     monkeypatch: pytest.MonkeyPatch, method: Any
@@ -116,7 +117,10 @@ def followed_scene(method: Any, *, terminal: bool = False, controlled: bool = Tr
 
 
 # Runs with a controller, or with a terminal event, or both, contain these steps.
-@pytest.mark.by_hand("False-False-Gauss(step=0.01, order=4, solver='auto')")
+@pytest.mark.by_hand(
+    "False-False-Gauss(step=0.01, order=4, solver='auto')",
+    "True-False-Gauss(step=0.01, order=4, solver='auto')",
+)
 @pytest.mark.parametrize(
     "method",
     [METHODS[0], *(pytest.param(method, marks=pytest.mark.by_hand) for method in METHODS[1:])],

@@ -99,7 +99,7 @@ def test_log_cholesky_parameters_are_physical() -> None:
 
 
 def test_new_inertias_reuse_the_kernel(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twenty masses and centres of mass take one kernel."""
+    """Several masses and centres of mass take one kernel."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path))
     made: list[str] = []
     whole: Any = vars(build)["compile_object"]
@@ -111,14 +111,14 @@ def test_new_inertias_reuse_the_kernel(tmp_path: Any, monkeypatch: pytest.Monkey
     monkeypatch.setattr(build, "compile_object", counted)
     chain = pinred.load("planar_chain5")
     ends = []
-    for mass in np.linspace(0.5, 2.0, 20):
+    for mass in np.linspace(0.5, 2.0, 6):
         traj = pinred.simulate(
             chain, seed=1, duration=0.05, times=[0.05], rtol=1e-6,
             parameters={"link2.mass": mass, "link2.com": [mass, 0.0, 0.0]},
         )  # fmt: skip
         ends.append(traj.x[-1])
     assert made == ["rate", "outputs"]
-    assert len(np.unique(ends, axis=0)) == 20
+    assert len(np.unique(ends, axis=0)) == 6
     again = pinred.Scene(system=traj.system, seed=1, duration=0.05)
     assert again.parameters["link2.mass"] == 2.0  # a system keeps what it was given
 

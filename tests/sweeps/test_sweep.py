@@ -7,18 +7,17 @@ import re
 import subprocess
 import sys
 import warnings
+import numpy as np
+import pytest
+import xarray
+import pinred
 from collections.abc import Callable
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-import pytest
-import xarray
-
-import pinred
-from pinred.forces import Damper, Torque
+from pinred.forces import Damper
+from pinred.forces import Torque
 
 CAT = pinred.load("falling_cat")
 GAIN = pinred.Parameter("gain", 0.1)
@@ -176,6 +175,7 @@ def test_store_of_other_numbers_names_the_first_difference(written: Path) -> Non
             pinred.sweep(SCENE, vary, outputs=["x"], store=written)
 
 
+@pytest.mark.by_hand("True")
 @pytest.mark.parametrize("broken", [False, True])
 def test_interrupted_sweep_continues_with_the_same_bits(
     broken: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

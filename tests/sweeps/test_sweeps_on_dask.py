@@ -88,6 +88,7 @@ def test_killed_worker_changes_no_bit(cluster: DaskCluster, tmp_path: Path) -> N
     assert "Warning" not in cluster.logs()
 
 
+@pytest.mark.by_hand("many.md")
 @pytest.mark.parametrize("page", ["sweeps.md", "many.md"])
 def test_documented_histograms_are_equal_on_a_cluster(
     page: str, cluster: DaskCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -76,6 +76,7 @@ def test_points_have_the_bits_of_simulate() -> None:
     assert result["bend.stop.upper"].attrs["units"] == "rad"
 
 
+@pytest.mark.by_hand("stops1", "stops2", "None")
 @pytest.mark.parametrize(
     "stops",
     [

@@ -38,6 +38,7 @@ CASES: dict[str, tuple[float, Callable[[float], dict[str, Any]]]] = {
 }
 
 
+@pytest.mark.by_hand("front.com.z")
 @pytest.mark.parametrize("key", CASES)
 def test_varied_number_gives_the_motion_of_its_scene(key: str) -> None:
     """A sweep over two values contains the motion of a scene with that value."""
