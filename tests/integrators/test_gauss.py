@@ -2,39 +2,31 @@
 
 from __future__ import annotations
 
-import casadi as ca
-import numpy as np
-import pytest
-import pinred
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from math import sqrt
 from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
 from orbits import kepler_orbit
-from orders import ROBOTS
-from orders import errors_at_the_end
-from orders import fit_order
-from pinred import DOP853
-from pinred import AdaptiveGauss
-from pinred import Gauss
+from orders import ROBOTS, errors_at_the_end, fit_order
+
+import pinred
+from pinred import DOP853, AdaptiveGauss, Gauss
 from pinred.common.arrays import Array
-from pinred.common.errors import NoConvergence
-from pinred.common.errors import NonFiniteState
-from pinred.common.errors import TooManySteps
-from pinred.common.machine_code import NativeCode
-from pinred.common.machine_code import load_object
+from pinred.common.errors import NoConvergence, NonFiniteState, TooManySteps
+from pinred.common.machine_code import NativeCode, load_object
 from pinred.integrators.implicit import gauss_fixed_step as gauss
 from pinred.integrators.implicit.gauss_stages import tables
-from pinred.integrators.integrate import Solution
-from pinred.integrators.integrate import integrate
+from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.stepping import run_state
-from pinred.judge.reference_solution import FullMotion
-from pinred.judge.reference_solution import FullState
+from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.kernels import build
-from pinred.kernels.build import tangent_of
-from pinred.kernels.build import wide_rate
+from pinred.kernels.build import tangent_of, wide_rate
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.machine.native import compile_object
 from pinred.simulation.compiled.compiled_flow import CompiledFlow

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from graphlib import CycleError, TopologicalSorter
+
 import package_graph
 import pytest
-from collections.abc import Iterable
-from graphlib import CycleError
-from graphlib import TopologicalSorter
 from package_graph import Import
 
 INTEGRATORS = "pinred.integrators"

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import pytest
-import pinred
 from pathlib import Path
-from shutil import copytree
-from shutil import ignore_patterns
+from shutil import copytree, ignore_patterns
+
+import pytest
+
+import pinred
 
 # Create all steppers, and compile one function. Print its result, and whether it was compiled.
 PROGRAM = """

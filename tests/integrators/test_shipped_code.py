@@ -5,29 +5,26 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
+from string import ascii_lowercase, ascii_uppercase, digits
+from typing import Any
+
 import llvmlite.binding as llvm
 import numba
 import numpy as np
 import pytest
-import pinred
-from pathlib import Path
-from string import ascii_lowercase
-from string import ascii_uppercase
-from string import digits
-from typing import Any
 from numba import float64
 from ship_code import find_differences
+
+import pinred
 from pinred.common.errors import MissingPackageError
-from pinred.common.machine_code import create_machine
-from pinred.common.machine_code import parse_bitcode
+from pinred.common.machine_code import create_machine, parse_bitcode
 from pinred.common.object_cache import ObjectCache
 from pinred.integrators.implicit import radau_iia
 from pinred.integrators.methods import METHODS
-from pinred.integrators.stepping import numba_functions
-from pinred.integrators.stepping import shipped_code
+from pinred.integrators.stepping import numba_functions, shipped_code
 from pinred.integrators.stepping.call_wrapper import argument_type
-from pinred.integrators.stepping.compiling import CompiledFunction
-from pinred.integrators.stepping.compiling import compiled
+from pinred.integrators.stepping.compiling import CompiledFunction, compiled
 from pinred.integrators.stepping.intrinsics import from_lanes
 from pinred.integrators.stepping.numba_functions import extract_bitcode
 from pinred.integrators.stepping.step_loop import Stepper

@@ -2,39 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import casadi
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
-from discrete_action import REST
-from discrete_action import STIFFNESS
-from discrete_action import Action
-from discrete_action import points_of
-from orders import errors_at_the_end
-from orders import fit_order
+from discrete_action import REST, STIFFNESS, Action, points_of
+from orders import errors_at_the_end, fit_order
 from scipy.spatial.transform import Rotation
 from stiff_kernels import kernel_by_numba
-from pinred import Gauss
-from pinred import Variational
-from pinred.common.errors import InputError
-from pinred.common.errors import NoConvergence
-from pinred.common.errors import NonFiniteState
-from pinred.forces import Damper
-from pinred.forces import Torque
-from pinred.forces import Wrench
+
+import pinred
+from pinred import Gauss, Variational
+from pinred.common.errors import InputError, NoConvergence, NonFiniteState
+from pinred.forces import Damper, Torque, Wrench
 from pinred.integrators import integrate as drive
-from pinred.integrators.integrate import Solution
-from pinred.integrators.integrate import integrate
-from pinred.integrators.integrate_many import STATUS
-from pinred.integrators.integrate_many import integrate_many
+from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.run_state import Canonical
-from pinred.judge.reference_solution import FullMotion
-from pinred.judge.reference_solution import FullState
+from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of

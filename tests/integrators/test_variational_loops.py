@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pytest
-import pinred
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from discrete_action import STIFFNESS
-from discrete_action import Action
-from discrete_action import points_of
-from loop_robots import five_bar
-from loop_robots import four_bar
-from loop_robots import gripper
-from loop_robots import random_loops
+
+import numpy as np
+import pytest
+from discrete_action import STIFFNESS, Action, points_of
+from loop_robots import five_bar, four_bar, gripper, random_loops
 from orders import fit_order
-from pinred import Gauss
-from pinred import Variational
+
+import pinred
+from pinred import Gauss, Variational
 from pinred.common.arrays import Array
-from pinred.common.errors import KernelMismatch
-from pinred.common.errors import NoConvergence
+from pinred.common.errors import KernelMismatch, NoConvergence
 from pinred.integrators.stepping import run_state
-from pinred.judge.reference_solution import FullMotion
-from pinred.judge.reference_solution import FullState
+from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.kernels import build
 from pinred.simulation import checkpoint
-from pinred.system.loops.kinematics import loop_jacobian
-from pinred.system.loops.kinematics import loop_values
+from pinred.system.loops.kinematics import loop_jacobian, loop_values
 
 START: dict[str, Any] = {"x0": {"crank": 1.0}, "xdot0": {"crank": 2.0}, "xi0": [0.1, 0.2, 0.3]}
 

@@ -5,42 +5,39 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from collections.abc import Callable
+from enum import IntEnum
+from importlib.metadata import PackageNotFoundError, files
+from pathlib import Path
+from threading import Thread
+
 import llvmlite.binding as llvm
 import numpy as np
 import pytest
-import pinred
-from collections.abc import Callable
-from enum import IntEnum
-from importlib.metadata import PackageNotFoundError
-from importlib.metadata import files
-from pathlib import Path
-from threading import Thread
 from host_cuda_driver import host_driver
+
+import pinred
 from pinred.common.arrays import Array
-from pinred.common.errors import DeviceError
-from pinred.common.errors import UnsupportedOperationError
+from pinred.common.errors import DeviceError, UnsupportedOperationError
 from pinred.common.machine_code import load_object
 from pinred.integrators.integrate import integrate
-from pinred.integrators.integrate_many import Solutions
-from pinred.integrators.integrate_many import integrate_many
-from pinred.integrators.methods import DOP853
-from pinred.integrators.methods import Explicit
-from pinred.integrators.methods import Tsit5
+from pinred.integrators.integrate_many import Solutions, integrate_many
+from pinred.integrators.methods import DOP853, Explicit, Tsit5
 from pinred.integrators.stepping.call_wrapper import COMPILED
 from pinred.integrators.stepping.compiling import compiled
-from pinred.integrators.stepping.run_state import DONE
-from pinred.integrators.stepping.run_state import EVALUATIONS_BETWEEN_PAUSES
-from pinred.integrators.stepping.run_state import LAYOUT
-from pinred.integrators.stepping.run_state import TOO_MANY
-from pinred.integrators.stepping.run_state import Runs
+from pinred.integrators.stepping.run_state import (
+    DONE,
+    EVALUATIONS_BETWEEN_PAUSES,
+    LAYOUT,
+    TOO_MANY,
+    Runs,
+)
 from pinred.integrators.stepping.step_loop import OUTCOME
 from pinred.kernels.build import build_kernel
-from pinred.kernels.device import cuda_driver
-from pinred.kernels.device import device_code
+from pinred.kernels.device import cuda_driver, device_code
 from pinred.kernels.device.few_rows import stepper_with_few_rows
 from pinred.kernels.differentiable import joined_tangent
-from pinred.kernels.kernel import Kernel
-from pinred.kernels.kernel import Structure
+from pinred.kernels.kernel import Kernel, Structure
 from pinred.kernels.machine.native import compile_object
 from pinred.kernels.reduced_graph import ReducedGraph
 

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import re
 import time
+from concurrent.futures import ThreadPoolExecutor
+
 import casadi as ca
 import numpy as np
 import pytest
-from concurrent.futures import ThreadPoolExecutor
-from hypothesis import assume
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
-from native_functions import build
-from native_functions import callable_of
+from native_functions import build, callable_of
 from strategies import examples
+
 from pinred.common.arrays import Array
-from pinred.common.errors import InputError
-from pinred.common.errors import UnsupportedOperationError
-from pinred.common.machine_code import cpu_target
-from pinred.common.machine_code import load_object
-from pinred.kernels.machine import lowering
-from pinred.kernels.machine import native
+from pinred.common.errors import InputError, UnsupportedOperationError
+from pinred.common.machine_code import cpu_target, load_object
+from pinred.kernels.machine import lowering, native
 from pinred.kernels.machine.native import compile_object
 from pinred.reduction.tree.identical_branches import Lanes
 

@@ -6,28 +6,21 @@ and times a thousand times smaller and larger.
 
 from __future__ import annotations
 
-import numpy as np
-import pytest
-import pinred
 from collections.abc import Callable
 from functools import partial
 from typing import Any
-from scaled_robots import ROBOTS
-from scaled_robots import Units
-from scaled_robots import corners
-from scaled_robots import refusals
-from scaled_robots import scaled
-from scaled_robots import weld
+
+import numpy as np
+import pytest
+from scaled_robots import ROBOTS, Units, corners, refusals, scaled, weld
+
+import pinred
 from pinred.common.arrays import Array
 from pinred.kernels import build
-from pinred.kernels.build import jacobian_by_columns
-from pinred.kernels.build import tangent_of
-from pinred.kernels.build import validate_jacobian
-from pinred.kernels.differentiable import Differentiable
-from pinred.kernels.differentiable import Sample
+from pinred.kernels.build import jacobian_by_columns, tangent_of, validate_jacobian
+from pinred.kernels.differentiable import Differentiable, Sample
 from pinred.kernels.flow_functions import rate_of
-from pinred.kernels.kernel import Kernel
-from pinred.kernels.kernel import evaluate
+from pinred.kernels.kernel import Kernel, evaluate
 from pinred.kernels.validation import validate_kernel
 from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
-import pinred
-from typing import Any
 from trees import limbed_model
+
+import pinred
 from pinred.common.errors import KernelMismatch
-from pinred.forces import PD
-from pinred.forces import Torque
-from pinred.forces import Wrench
+from pinred.forces import PD, Torque, Wrench
 from pinred.kernels import build as graphs
-from pinred.kernels.build import jacobian_code
-from pinred.kernels.build import jacobian_of
+from pinred.kernels.build import jacobian_code, jacobian_of
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.reduction.tree.articulated_sweep import sweep_jacobian
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
+
 
 def kernel_of(system: pinred.System, **options: Any) -> Kernel:
     """Return the kernel of a scene."""

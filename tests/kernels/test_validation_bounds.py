@@ -5,45 +5,30 @@ Robots of a metre, a millimetre and a kilometre have the same bounds relative to
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import cache, partial
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from collections.abc import Callable
-from collections.abc import Sequence
-from functools import cache
-from functools import partial
-from typing import Any
 from loop_robots import five_bar
-from scaled_robots import ROBOTS
-from scaled_robots import Units
-from scaled_robots import evaluate_connection
-from scaled_robots import scaled
+from scaled_robots import ROBOTS, Units, evaluate_connection, scaled
+
+import pinred
 from pinred.analysis.connections import connection_physics
-from pinred.common.arrays import Array
-from pinred.common.arrays import central_differences
-from pinred.forces import ComputedTorque
-from pinred.forces import Torque
-from pinred.forces import Wrench
+from pinred.common.arrays import Array, central_differences
+from pinred.forces import ComputedTorque, Torque, Wrench
 from pinred.forces.force_numbers import random_numbers
 from pinred.kernels import build as codes
-from pinred.kernels import differentiable
-from pinred.kernels import flow_functions
-from pinred.kernels import initial_conditions
-from pinred.kernels import validation
-from pinred.kernels.build import jacobian_by_columns
-from pinred.kernels.build import tangent_of
-from pinred.kernels.build import validate_jacobian
+from pinred.kernels import differentiable, flow_functions, initial_conditions, validation
+from pinred.kernels.build import jacobian_by_columns, tangent_of, validate_jacobian
 from pinred.kernels.connection import connection_validation
-from pinred.kernels.differentiable import Differentiable
-from pinred.kernels.differentiable import Sample
-from pinred.kernels.differentiable import values_near
-from pinred.kernels.flow_functions import initial_conditions_of
-from pinred.kernels.flow_functions import rate_of
+from pinred.kernels.differentiable import Differentiable, Sample, values_near
+from pinred.kernels.flow_functions import initial_conditions_of, rate_of
 from pinred.kernels.initial_conditions import initial_conditions_kernel
-from pinred.kernels.kernel import Kernel
-from pinred.kernels.kernel import evaluate
+from pinred.kernels.kernel import Kernel, evaluate
 from pinred.kernels.reference_state import random_state
 from pinred.reduction.tree.free_bodies import free_numbers
 from pinred.reduction.tree.loop_constraints import GAUGE_RATE

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
 import flow_cost
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from collections.abc import Callable
-from pathlib import Path
-from types import SimpleNamespace
 from commands import python
+
+import pinred
 from pinred.cli.main import main
-from pinred.common.errors import InputError
-from pinred.common.errors import LoadError
-from pinred.laboratory.bench import Table
-from pinred.laboratory.bench import bench_kernels
-from pinred.laboratory.bench import bench_many
-from pinred.laboratory.bench import bench_threads
-from pinred.laboratory.bench import call_timing
-from pinred.laboratory.bench import timing
+from pinred.common.errors import InputError, LoadError
+from pinred.laboratory.bench import (
+    Table,
+    bench_kernels,
+    bench_many,
+    bench_threads,
+    call_timing,
+    timing,
+)
 from pinred.laboratory.bench.call_timing import BATCH_SOLVERS
 from pinred.laboratory.bench.problems import chain
 

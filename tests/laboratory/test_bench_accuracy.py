@@ -3,47 +3,45 @@
 from __future__ import annotations
 
 import csv
-import aba
-import numpy as np
-import pinocchio as pin
-import pytest
-import pinred
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
-from trees import random_model
-from trees import shuffled
+
+import aba
+import numpy as np
+import pinocchio as pin
+import pytest
+from trees import random_model, shuffled
+
+import pinred
 from pinred.cli.main import main
 from pinred.common.arrays import Array
-from pinred.common.errors import InputError
-from pinred.common.errors import IntegrationError
-from pinred.common.errors import LoadError
-from pinred.common.errors import install_command
+from pinred.common.errors import InputError, IntegrationError, LoadError, install_command
 from pinred.integrators.methods import RKMK4
 from pinred.judge.reference_solution import FullMotion
-from pinred.laboratory.bench import QUICK
-from pinred.laboratory.bench import SCENES
-from pinred.laboratory.bench import SOLVERS
-from pinred.laboratory.bench import Effort
-from pinred.laboratory.bench import End
-from pinred.laboratory.bench import Point
-from pinred.laboratory.bench import PreparedRun
-from pinred.laboratory.bench import Problem
-from pinred.laboratory.bench import Solver
-from pinred.laboratory.bench import WorkPrecision
-from pinred.laboratory.bench import accuracy
-from pinred.laboratory.bench import bench_accuracy
-from pinred.laboratory.bench import own_method
-from pinred.laboratory.bench import problems
-from pinred.laboratory.bench import problems_named
-from pinred.laboratory.bench import read_record
-from pinred.laboratory.bench import reference_of
-from pinred.laboratory.bench import timing
-from pinred.laboratory.bench import write_record
-from pinred.laboratory.bench.accuracy import _quadruple
-from pinred.laboratory.bench.accuracy import overview
-from pinred.laboratory.bench.accuracy import solvers_named
+from pinred.laboratory.bench import (
+    QUICK,
+    SCENES,
+    SOLVERS,
+    Effort,
+    End,
+    Point,
+    PreparedRun,
+    Problem,
+    Solver,
+    WorkPrecision,
+    accuracy,
+    bench_accuracy,
+    own_method,
+    problems,
+    problems_named,
+    read_record,
+    reference_of,
+    timing,
+    write_record,
+)
+from pinred.laboratory.bench.accuracy import _quadruple, overview, solvers_named
 from pinred.laboratory.bench.problems import compute_drift
 from pinred.system.coordinates import InitialState
 

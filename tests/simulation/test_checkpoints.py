@@ -7,27 +7,25 @@ import signal
 import subprocess
 import sys
 import time
-import casadi as ca
-import numpy as np
-import pytest
-import pinred
-from collections.abc import Callable
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import pinred
+from pinred.cli.main import main
 from pinred.common.errors import InputError
-from pinred.forces import Command
-from pinred.forces import Controller
-from pinred.forces import Torque
+from pinred.forces import Command, Controller, Torque
 from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.run_state import LAYOUT
 from pinred.simulation import checkpoint as checkpoint_module
-from pinred.simulation.checkpoint import Checkpoint
-from pinred.simulation.checkpoint import read_checkpoint
+from pinred.simulation.checkpoint import Checkpoint, read_checkpoint
 from pinred.simulation.compiled import integrator
-from pinred.cli.main import main
 
 METHODS: list[Any] = [
     pinred.DOP853(1e-10, 1e-12),

@@ -2,35 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
 import casadi as ca
 import method_study
 import numpy as np
 import pytest
-import pinred
-from dataclasses import replace
-from functools import partial
-from typing import Any
 from method_study import held_robot
 from trees import limbed_model
-from pinred import DOP853
-from pinred import AdaptiveGauss
-from pinred import Gauss
-from pinred import Radau
-from pinred.forces import PD
-from pinred.forces import Controller
-from pinred.forces import Damper
-from pinred.forces import Limit
-from pinred.forces import Spring
-from pinred.forces import Torque
-from pinred.judge.reference_solution import FullMotion
-from pinred.judge.reference_solution import FullState
+
+import pinred
+from pinred import DOP853, AdaptiveGauss, Gauss, Radau
+from pinred.forces import PD, Controller, Damper, Limit, Spring, Torque
+from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.signals import Hold
-from pinred.simulation.choose_method import LANES_GAIN
-from pinred.simulation.choose_method import Choice
-from pinred.simulation.choose_method import radau_gain
-from pinred.simulation.choose_method import rates_near_rest
-from pinred.simulation.plan import members_plan
-from pinred.simulation.plan import plan_of
+from pinred.simulation.choose_method import LANES_GAIN, Choice, radau_gain, rates_near_rest
+from pinred.simulation.plan import members_plan, plan_of
+
 
 def scene(system: pinred.System, **options: Any) -> pinred.Scene:
     """Return a scene with one report, at its end."""

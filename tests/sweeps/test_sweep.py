@@ -7,17 +7,18 @@ import re
 import subprocess
 import sys
 import warnings
-import numpy as np
-import pytest
-import xarray
-import pinred
 from collections.abc import Callable
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
-from pinred.forces import Damper
-from pinred.forces import Torque
+
+import numpy as np
+import pytest
+import xarray
+
+import pinred
+from pinred.forces import Damper, Torque
 
 CAT = pinred.load("falling_cat")
 GAIN = pinred.Parameter("gain", 0.1)
