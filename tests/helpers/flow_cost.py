@@ -20,7 +20,7 @@ from pinred.common.arrays import Array
 from pinred.common.waiting import one_by_one
 from pinred.integrators.integrate import Integration
 from pinred.kernels.evaluate import repeat, repeat_adjoint
-from pinred.laboratory.bench.timing import Table, alternating, repeated, robots_to_measure
+from pinred.laboratory.bench.timing import Action, Table, alternating, repeated, robots_to_measure
 from pinred.simulation.flow_map.flow import Flow
 
 _BUNDLED, _EXAMPLES = ("planar_chain5", "satellite_two_arms"), ("solo12", "talos")
@@ -63,7 +63,7 @@ def _measure_flow(name: str) -> SimpleNamespace:
     step = by_motion.step(solution.knots[1])
     shape = _DistinctShapes(by_motion)
     along, covector, cotangents = np.ones(system.m), np.ones(len(y)), np.empty(len(y) + len(p))
-    actions = [
+    actions: list[Action] = [
         repeated(partial(integration, p, y)),
         repeated(lambda: pinred.simulate(scene).x),
         repeated(lambda: step.linear().by_state),

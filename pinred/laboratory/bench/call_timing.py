@@ -108,7 +108,7 @@ def _bench_kernel(name: str) -> SimpleNamespace:
     q = system.q(system.group.identity(), rng.normal(size=system.m))
     v = system.joint_rates(rng.normal(size=system.n))
     tau = np.zeros(model.nv)
-    actions = [
+    actions: list[Action] = [
         partial(repeat, kernel.rate.address, parameters, y),
         repeated(lambda: pin.aba(model, data, q, v, tau)),
     ]
@@ -258,16 +258,13 @@ def _prepare(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> Prep
     kernel, times = flows.kernel, members[0].times
     duration = members[0].start.duration
     y0, params, quaternions = flows.y0, flows.parameters, kernel.layout.quaternions
-    run: Callable[[], Solutions]
+    integrate: Callable[..., Solutions] = integrate_many
+    code: tuple[int, ...] = (kernel.rate.address,)
     if in_lanes:
         lanes = lanes_of(method, kernel)
-        address = wide_rate(kernel, lanes, own_parameters=True).address
-        run = partial(
-            integrate_in_lanes, method, address, lanes, params, y0, duration, times, quaternions, 1
-        )
-    else:
-        address = kernel.rate.address
-        run = partial(integrate_many, method, address, params, y0, duration, times, quaternions, 1)
+        integrate = integrate_in_lanes
+        code = wide_rate(kernel, lanes, own_parameters=True).address, lanes
+    run = partial(integrate, method, *code, params, y0, duration, times, quaternions, 1)
 
     def end(solutions: Solutions, member: int) -> End:
         if not solutions.ok.all():
@@ -277,19 +274,11 @@ def _prepare(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> Prep
     return PreparedRun(run, end)
 
 
+_LANES = partial(_prepare, in_lanes=True)
+_SCALAR = partial(_prepare, in_lanes=False)
 OWN = (
-    Solver(
-        "lanes",
-        "DOP853, members in SIMD lanes",
-        _TOLERANCES,
-        partial(_prepare, in_lanes=True),
-    ),
-    Solver(
-        "one by one",
-        "DOP853, the scalar integrator, one after another",
-        _TOLERANCES,
-        partial(_prepare, in_lanes=False),
-    ),
+    Solver("lanes", "DOP853, members in SIMD lanes", _TOLERANCES, _LANES),
+    Solver("one by one", "DOP853, one member after another", _TOLERANCES, _SCALAR),
 )
 
 

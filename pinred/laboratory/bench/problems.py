@@ -220,7 +220,6 @@ CHAIN_TIME = 2.0  # duration [s]; long chains become chaotic a few seconds later
 _EXAMPLES = {"solo12": (4.0, 1.0), "talos": (2.0, 2.0)}  # duration [s], factor of initial rates
 # Scene name → bundled robot, and the factor by which its initial rates are multiplied.
 _FASTER = {"planar5": ("planar_chain5", 2.0), "satellite": ("satellite_two_arms", 3.0)}
-_NO_GRAVITY = (0.0, 0.0, 0.0)
 
 
 def planar_joint() -> Problem:
@@ -232,27 +231,20 @@ def planar_joint() -> Problem:
     return Problem("planar1", "planar_chain5 with all joints but the first locked", system, start)
 
 
-def bundled(name: str) -> Problem:
-    """Return a bundled robot with its default initial state."""
-    system = load(name)
-    if system.initial is None:
-        raise InputError(f"'{name}' has no default initial state")
-    return Problem(
-        name, f"{bundled_robots()[name].description}, default initial state", system, system.initial
-    )
-
-
-def faster(name: str) -> Problem:
-    """Return a bundled robot with its default initial state and its rates scaled by a factor."""
-    robot, factor = _FASTER[name]
-    slow = bundled(robot)
-    about = f"{robot} from its default state with rates times {factor:g}"
-    return Problem(name, about, slow.system, _scaled(slow.start, factor, slow.start.duration))
+def bundled(name: str, robot: str, factor: float = 1.0) -> Problem:
+    """Return a bundled robot with its default initial state, and its rates scaled by a factor."""
+    system = load(robot)
+    if (start := system.initial) is None:
+        raise InputError(f"'{robot}' has no default initial state")
+    about = f"{bundled_robots()[robot].description}, default initial state"
+    if factor != 1.0:
+        about = f"{robot} from its default state with rates times {factor:g}"
+    return Problem(name, about, system, _scaled(start, factor, start.duration))
 
 
 def example(name: str) -> Problem:
     """Return a robot of example-robot-data without gravity, from a random initial state."""
-    system = load(name, gravity=_NO_GRAVITY)
+    system = load(name, gravity=(0.0, 0.0, 0.0))
     duration, factor = _EXAMPLES[name]
     about = f"{name} tumbling without torque or gravity, seed 0"
     about += f", rates times {factor:g}" if factor != 1.0 else ""
@@ -275,8 +267,8 @@ def _factories() -> dict[str, Callable[[], Problem]]:
     factories: dict[str, Callable[[], Problem]] = {"planar1": planar_joint}
     # The peers of the benchmark have no ball joints in pinred's coordinates, and no closed loops.
     robots = [name for name, robot in bundled_robots().items() if not (robot.balls or robot.loops)]
-    factories |= {name: partial(bundled, name) for name in robots}
-    factories |= {name: partial(faster, name) for name in _FASTER}
+    factories |= {name: partial(bundled, name, name) for name in robots}
+    factories |= {name: partial(bundled, name, *case) for name, case in _FASTER.items()}
     factories |= {name: partial(example, name) for name in _EXAMPLES}
     for family, sizes in CHAINS.items():
         factories |= {f"{family}-{n}": partial(chained, family, n) for n in sizes}
@@ -383,7 +375,6 @@ def compute_drift(problem: Problem, q: Array, v: Array) -> tuple[float, float]:
 
 
 ATOL = 0.01  # ratio of absolute to relative tolerance, for methods with both
-UNKNOWN = float("nan")
 
 
 @checks_arguments

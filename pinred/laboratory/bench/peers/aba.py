@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from math import cos, sin
-from typing import Any
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -44,6 +44,15 @@ class PeerModel:
     """
 
     system: System
+
+    def __init__(self, system: System) -> None:
+        """Build the model."""
+        self.system = system
+
+    @classmethod
+    def of(cls, system: System) -> Self:
+        """Return the model of a system, built once for each thread."""
+        return system.workspace(cls.__name__, lambda: cls(system))
 
     def turn(self, q: Array) -> Array:
         """Return the orthogonal matrix (n, n) that maps Pinocchio's velocities to the peer's.
@@ -235,6 +244,9 @@ def by_odeint(field: Field, problem: Problem, tolerance: float) -> PreparedRun:
     return PreparedRun(run, lambda result: field.end(*result))
 
 
+Driver: TypeAlias = Callable[[Field, Problem, float], PreparedRun]
+
+
 def scipy_methods(
     prefix: str,
     by: str,
@@ -251,21 +263,18 @@ def scipy_methods(
     Returns:
         One method for each integrator.
     """
-    drivers: dict[str, tuple[str, Callable[[Field, Problem, float], PreparedRun]]] = {
+    drivers: dict[str, tuple[str, Driver]] = {
         "dop853": ("solve_ivp with DOP853", by_solve_ivp),
         "ode-dop853": ("ode with Hairer's dop853", by_ode),
         "odeint": ("odeint", by_odeint),
     }
 
-    def method(
-        name: str, text: str, driver: Callable[[Field, Problem, float], PreparedRun]
-    ) -> Solver:
+    def method(name: str, text: str, driver: Driver) -> Solver:
         def prepare(problem: Problem, tolerance: float) -> PreparedRun:
             return driver(field(problem), problem, tolerance)
 
-        return Solver(
-            f"{prefix}-{name}", f"SciPy's {text} over {by}", decades(2, 13), prepare, missing
-        )
+        about = f"SciPy's {text} over {by}"
+        return Solver(f"{prefix}-{name}", about, decades(2, 13), prepare, missing)
 
     return tuple(method(name, *driver) for name, driver in drivers.items())
 
