@@ -8,11 +8,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-from ..common.errors import InputError, OutputError
+from ..common.errors import InputError
+from ..common.errors import OutputError
 from ..common.files import write_table
 from ..common.waiting import Wait
-from .command_options import add_options, option_adder, out_path
+from .command_options import add_options
+from .command_options import option_adder
+from .command_options import out_path
 
 if TYPE_CHECKING:
     from ..laboratory.bench.work_precision import WorkPrecision
@@ -181,9 +183,12 @@ def add_stress_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_stress(arguments: argparse.Namespace) -> int:
     """Run the checks.  Returns 0, or 1 if a check fails."""
-    from ..laboratory.stress.check import Trial, run_check, select_checks, table
+    from ..laboratory.bench.problems import select_named
+    from ..laboratory.stress import CHECKS
+    from ..laboratory.stress.check import Trial, run_check, table
 
-    checks = select_checks(arguments.only.split(",") if arguments.only else ())
+    names = arguments.only.split(",") if arguments.only else ()
+    checks = select_named(names, CHECKS, "check").values()
     trial = Trial(effort="full" if arguments.full else "usual")
     outcomes = []
     for check in checks:
@@ -192,9 +197,9 @@ def run_stress(arguments: argparse.Namespace) -> int:
         if sys.stderr.isatty():
             sys.stderr.write("\r\033[K")
         verdict = "ok" if outcome.passed else "FAILED"
-        print(f"{outcome.name}: {verdict}, {outcome.wall:.1f} s", file=sys.stderr)
+        print(f"{check.name}: {verdict}, {outcome.wall:.1f} s", file=sys.stderr)
         if arguments.only:
-            print(f"{outcome.name}: {outcome.what}")
+            print(f"{check.name}: {check.what}")
             for case in outcome.cases:
                 print(f"  {case}")
     print(table(outcomes))
@@ -265,9 +270,11 @@ def add_published_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_published(arguments: argparse.Namespace) -> int:
     """Compute the rows and print them.  Returns 0, or 1 if a row disagrees."""
+    from ..laboratory.bench.problems import select_named
+    from ..laboratory.published import ROWS
     from ..laboratory.published import row as published
 
-    rows = published.select_rows(arguments.rows)
+    rows = select_named(arguments.rows, ROWS, "row").values()
     if arguments.list:
         for row in rows:
             print(f"{row.name:<22} {row.quantity}\n{'':<22} {row.source}")

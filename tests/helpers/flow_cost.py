@@ -8,20 +8,24 @@ is relative to an evaluation of the rate.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+import numpy as np
+import pinred
+from collections.abc import Callable
+from collections.abc import Sequence
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
-
-import numpy as np
-
-import pinred
 from pinred.common.arrays import Array
 from pinred.common.waiting import one_by_one
 from pinred.integrators.integrate import Integration
-from pinred.kernels.kernel import repeat, repeat_adjoint
-from pinred.laboratory.bench.timing import Table, alternating, repeated, robots_to_measure
+from pinred.kernels.kernel import repeat
+from pinred.kernels.kernel import repeat_adjoint
+from pinred.laboratory.bench.timing import Table
+from pinred.laboratory.bench.timing import alternating
+from pinred.laboratory.bench.timing import repeated
+from pinred.laboratory.bench.timing import robots_to_measure
 from pinred.simulation.flow_map.flow import Flow
+from pinred.laboratory.bench.timing import Action
 
 _BUNDLED, _EXAMPLES = ("planar_chain5", "satellite_two_arms"), ("solo12", "talos")
 _SPAN = 2.0  # duration of the motion [s]
@@ -63,7 +67,7 @@ def _measure_flow(name: str) -> SimpleNamespace:
     step = by_motion.step(solution.knots[1])
     shape = _DistinctShapes(by_motion)
     along, covector, cotangents = np.ones(system.m), np.ones(len(y)), np.empty(len(y) + len(p))
-    actions = [
+    actions: list[Action] = [
         repeated(partial(integration, p, y)),
         repeated(lambda: pinred.simulate(scene).x),
         repeated(lambda: step.linear().by_state),

@@ -12,7 +12,7 @@ import pytest
 import pinred
 from pinred.cli.main import main
 from pinred.laboratory.published import dynamics, locomotion
-from pinred.laboratory.published.row import ROWS, Result, numbers, select_rows
+from pinred.laboratory.published.row import ROWS, Result, numbers
 
 
 def numbers_in(text: str) -> list[float]:
@@ -74,7 +74,7 @@ def test_numbers_of_different_counts_raise() -> None:
 def test_rows_use_public_names() -> None:
     """Each name that the rows import is the public object of this name."""
     imported = vars(dynamics) | vars(locomotion)
-    public = {name: value for name, value in imported.items() if name in pinred.__all__}
+    public = {name: value for name, value in imported.items() if name in dir(pinred)}
     assert len(public) > 15
     for name, value in public.items():
         assert getattr(pinred, name) is value
@@ -103,7 +103,6 @@ def test_command_reports_row_that_disagrees(
     assert isinstance(wrong.run(), Result)
     assert main(["published", "spheroid"]) == 1
     assert "FAILED" in capsys.readouterr().out
-    assert select_rows([]) == list(ROWS.values())
 
 
 @pytest.mark.by_hand

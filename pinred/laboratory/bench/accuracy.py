@@ -314,7 +314,7 @@ def _first_runs(
         yield point, run
 
 
-def _errors(problem: Problem, reference: Reference, end: End) -> dict[str, float]:
+def _errors(problem: Problem, reference: Reference, end: End) -> dict[str, Any]:
     """Compute the numbers of a Point that follow from the final state; it must be finite."""
     if not all(np.isfinite(numbers).all() for numbers in (end.x, end.q, end.v)):
         raise IntegrationError("the final state is not finite")
@@ -362,14 +362,7 @@ def continue_accuracy(
             # Times of different runs are not comparable, so this run measures pinred again.
             remaining = [*solvers_named([YARDSTICK]), *remaining]
         with ProgressBar(f"{problem.name} ({k + 1} of {len(problems)})") as bar:
-            result = bench_problem(
-                problem,
-                remaining,
-                tolerances,
-                effort,
-                run=run,
-                progress=bar,
-            )
+            result = bench_problem(problem, remaining, tolerances, effort, run=run, progress=bar)
         print(result, end="\n\n", flush=True)
         results.append(result)
         if path is not None:

@@ -12,27 +12,36 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+import numpy as np
+import pinocchio as pin
+from collections.abc import Callable
+from collections.abc import Sequence
 from functools import partial
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
-
-import numpy as np
-import pinocchio as pin
-
 from ...common.argument_kinds import checks_arguments
-from ...common.errors import InputError, IntegrationError, PinredError
+from ...common.errors import InputError
+from ...common.errors import IntegrationError
+from ...common.errors import PinredError
 from ...common.object_cache import ObjectCache
-from ...common.waiting import Progress, one_by_one, quiet, shown
+from ...common.waiting import Progress
+from ...common.waiting import one_by_one
+from ...common.waiting import quiet
+from ...common.waiting import shown
 from ...forces.kinds import Damper
-from ...integrators.integrate_many import Solutions, integrate_many
+from ...integrators.integrate_many import Solutions
+from ...integrators.integrate_many import integrate_many
 from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import DOP853
 from ...judge.compare import compare
-from ...judge.reference_solution import FINEST, FullMotion
+from ...judge.reference_solution import FINEST
+from ...judge.reference_solution import FullMotion
 from ...judge.verdict import Report
-from ...kernels.build import build_kernel, wide_rate
-from ...kernels.kernel import Kernel, Structure, repeat
+from ...kernels.build import build_kernel
+from ...kernels.build import wide_rate
+from ...kernels.kernel import Kernel
+from ...kernels.kernel import Structure
+from ...kernels.kernel import repeat
 from ...reduction.cyclic_joints import cyclic_joints
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...simulation.members.integrate_members import lanes_of
@@ -43,19 +52,22 @@ from ...system.load import load
 from ...system.system import System
 from .peers.heyoka import HEYOKA_BATCH
 from .peers.mujoco import ROLLOUT
-from .problems import (
-    FAMILIES,
-    End,
-    PreparedRun,
-    Problem,
-    Solver,
-    chain,
-    compile_members,
-    generate_members,
-    problems_named,
-    select_named,
-)
-from .timing import Action, Table, alternating, repeated, robots_to_measure, timed
+from .problems import FAMILIES
+from .problems import End
+from .problems import PreparedRun
+from .problems import Problem
+from .problems import Solver
+from .problems import chain
+from .problems import compile_members
+from .problems import generate_members
+from .problems import problems_named
+from .problems import select_named
+from .timing import Action
+from .timing import Table
+from .timing import alternating
+from .timing import repeated
+from .timing import robots_to_measure
+from .timing import timed
 
 _ROBOTS = ("coupled_planar", "planar_chain5", "falling_cat", "satellite_two_arms")
 _EXAMPLE_ROBOTS = ("ur5", "solo12", "talos")
@@ -106,7 +118,7 @@ def _bench_kernel(name: str) -> SimpleNamespace:
     q = system.q(system.group.identity(), rng.normal(size=system.m))
     v = system.joint_rates(rng.normal(size=system.n))
     tau = np.zeros(model.nv)
-    actions = [
+    actions: list[Action] = [
         partial(repeat, kernel.rate.address, parameters, y),
         repeated(lambda: pin.aba(model, data, q, v, tau)),
     ]
@@ -256,16 +268,13 @@ def _prepare(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> Prep
     kernel, times = flows.kernel, members[0].times
     duration = members[0].start.duration
     y0, params, quaternions = flows.y0, flows.parameters, kernel.layout.quaternions
-    run: Callable[[], Solutions]
+    integrate: Callable[..., Solutions] = integrate_many
+    code: tuple[int, ...] = (kernel.rate.address,)
     if in_lanes:
         lanes = lanes_of(method, kernel)
-        address = wide_rate(kernel, lanes, own_parameters=True).address
-        run = partial(
-            integrate_in_lanes, method, address, lanes, params, y0, duration, times, quaternions, 1
-        )
-    else:
-        address = kernel.rate.address
-        run = partial(integrate_many, method, address, params, y0, duration, times, quaternions, 1)
+        integrate = integrate_in_lanes
+        code = wide_rate(kernel, lanes, own_parameters=True).address, lanes
+    run = partial(integrate, method, *code, params, y0, duration, times, quaternions, 1)
 
     def end(solutions: Solutions, member: int) -> End:
         if not solutions.ok.all():
@@ -275,19 +284,11 @@ def _prepare(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> Prep
     return PreparedRun(run, end)
 
 
+_LANES = partial(_prepare, in_lanes=True)
+_SCALAR = partial(_prepare, in_lanes=False)
 OWN = (
-    Solver(
-        "lanes",
-        "DOP853, members in SIMD lanes",
-        _TOLERANCES,
-        partial(_prepare, in_lanes=True),
-    ),
-    Solver(
-        "one by one",
-        "DOP853, the scalar integrator, one after another",
-        _TOLERANCES,
-        partial(_prepare, in_lanes=False),
-    ),
+    Solver("lanes", "DOP853, members in SIMD lanes", _TOLERANCES, _LANES),
+    Solver("one by one", "DOP853, one member after another", _TOLERANCES, _SCALAR),
 )
 
 

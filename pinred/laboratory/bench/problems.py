@@ -6,28 +6,39 @@ problem. A solver prepares runs of a problem, or of a batch of members, at a tol
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
-from typing import Any, TypeVar
-
 import numpy as np
 import pinocchio as pin
+from collections.abc import Callable
+from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import field
+from dataclasses import replace
+from functools import cached_property
+from functools import partial
+from typing import Any
+from typing import TypeVar
 from numpy.typing import ArrayLike
-
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array
+from ...common.arrays import freeze
 from ...common.errors import InputError
 from ...common.names import nearest
-from ...judge.reference_solution import FullMotion, FullState
+from ...judge.reference_solution import FullMotion
+from ...judge.reference_solution import FullState
 from ...scene.initial_state import random_state
 from ...scene.scene import Scene
-from ...simulation.compiled.compiled_flow import CompiledFlow, flows_of
-from ...simulation.plan import of_scenes, plan_of
+from ...simulation.compiled.compiled_flow import CompiledFlow
+from ...simulation.compiled.compiled_flow import flows_of
+from ...simulation.plan import of_scenes
+from ...simulation.plan import plan_of
 from ...system.coordinates import InitialState
 from ...system.load import load
-from ...system.robot_files import INSTALL_ROBOTS, bundled_robots, has_example_robots
-from ...system.state_fields import State, with_base
+from ...system.robot_files import INSTALL_ROBOTS
+from ...system.robot_files import bundled_robots
+from ...system.robot_files import has_example_robots
+from ...system.state_fields import State
+from ...system.state_fields import with_base
 from ...system.system import System
 
 FAMILIES = ("planar", "spatial")
@@ -220,7 +231,6 @@ CHAIN_TIME = 2.0  # duration [s]; long chains become chaotic a few seconds later
 _EXAMPLES = {"solo12": (4.0, 1.0), "talos": (2.0, 2.0)}  # duration [s], factor of initial rates
 # Scene name → bundled robot, and the factor by which its initial rates are multiplied.
 _FASTER = {"planar5": ("planar_chain5", 2.0), "satellite": ("satellite_two_arms", 3.0)}
-_NO_GRAVITY = (0.0, 0.0, 0.0)
 
 
 def planar_joint() -> Problem:
@@ -232,27 +242,20 @@ def planar_joint() -> Problem:
     return Problem("planar1", "planar_chain5 with all joints but the first locked", system, start)
 
 
-def bundled(name: str) -> Problem:
-    """Return a bundled robot with its default initial state."""
-    system = load(name)
-    if system.initial is None:
-        raise InputError(f"'{name}' has no default initial state")
-    return Problem(
-        name, f"{bundled_robots()[name].description}, default initial state", system, system.initial
-    )
-
-
-def faster(name: str) -> Problem:
-    """Return a bundled robot with its default initial state and its rates scaled by a factor."""
-    robot, factor = _FASTER[name]
-    slow = bundled(robot)
-    about = f"{robot} from its default state with rates times {factor:g}"
-    return Problem(name, about, slow.system, _scaled(slow.start, factor, slow.start.duration))
+def bundled(name: str, robot: str, factor: float = 1.0) -> Problem:
+    """Return a bundled robot with its default initial state, and its rates scaled by a factor."""
+    system = load(robot)
+    if (start := system.initial) is None:
+        raise InputError(f"'{robot}' has no default initial state")
+    about = f"{bundled_robots()[robot].description}, default initial state"
+    if factor != 1.0:
+        about = f"{robot} from its default state with rates times {factor:g}"
+    return Problem(name, about, system, _scaled(start, factor, start.duration))
 
 
 def example(name: str) -> Problem:
     """Return a robot of example-robot-data without gravity, from a random initial state."""
-    system = load(name, gravity=_NO_GRAVITY)
+    system = load(name, gravity=(0.0, 0.0, 0.0))
     duration, factor = _EXAMPLES[name]
     about = f"{name} tumbling without torque or gravity, seed 0"
     about += f", rates times {factor:g}" if factor != 1.0 else ""
@@ -275,8 +278,8 @@ def _factories() -> dict[str, Callable[[], Problem]]:
     factories: dict[str, Callable[[], Problem]] = {"planar1": planar_joint}
     # The peers of the benchmark have no ball joints in pinred's coordinates, and no closed loops.
     robots = [name for name, robot in bundled_robots().items() if not (robot.balls or robot.loops)]
-    factories |= {name: partial(bundled, name) for name in robots}
-    factories |= {name: partial(faster, name) for name in _FASTER}
+    factories |= {name: partial(bundled, name, name) for name in robots}
+    factories |= {name: partial(bundled, name, *case) for name, case in _FASTER.items()}
     factories |= {name: partial(example, name) for name in _EXAMPLES}
     for family, sizes in CHAINS.items():
         factories |= {f"{family}-{n}": partial(chained, family, n) for n in sizes}
@@ -383,7 +386,6 @@ def compute_drift(problem: Problem, q: Array, v: Array) -> tuple[float, float]:
 
 
 ATOL = 0.01  # ratio of absolute to relative tolerance, for methods with both
-UNKNOWN = float("nan")
 
 
 @checks_arguments

@@ -271,9 +271,8 @@ def write_record(path: Path, effort: str, results: Iterable[WorkPrecision]) -> N
     for result in results:
         head = {name: getattr(result, name) for name in _ABOUT[1:]} | {"effort": effort}
         for point in result.points:
-            numbers = {name: getattr(point, name) for name in _POINT}
             about = result.about[point.method]
-            records.append({**head, **numbers, "about": about, "error": point.error})
+            records.append({**head, **vars(point), "about": about, "error": point.error})
         records += [
             {**head, "method": method, "failure": line} for method, line in result.missing.items()
         ]

@@ -6,3 +6,4 @@ the same objects.
 
 from . import dynamics as dynamics
 from . import locomotion as locomotion
+from .row import ROWS as ROWS

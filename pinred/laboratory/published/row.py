@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import inspect
 import textwrap
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -15,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, FrozenArrays
-from ..bench.problems import select_named
 
 _WIDTH = 12  # significant digits of a closed form
 _ROUND_OFF = 1e-12  # fraction of the largest number below which a number is shown as zero
@@ -80,11 +78,9 @@ class Row:
 
     def run(self) -> Result:
         """Compute both numbers and compare them."""
-        began = time.perf_counter()
         pair = self.compute()
         difference = float(np.abs(pair.expected - pair.found).max())
-        wall = time.perf_counter() - began
-        return Result(self, pair, difference, self.bound(pair.expected), wall)
+        return Result(self, pair, difference, self.bound(pair.expected))
 
     @property
     def code(self) -> str:
@@ -102,14 +98,12 @@ class Result:
         pair: Both numbers.
         difference: Largest absolute difference; NaN if a number is NaN.
         bound: Largest accepted difference.
-        wall: Wall time [s].
     """
 
     row: Row
     pair: Numbers
     difference: float
     bound: float
-    wall: float
 
     @property
     def passed(self) -> bool:
@@ -154,11 +148,6 @@ def row(
 
 
 _NAME, _NUMBER = 22, 34  # widths of columns
-
-
-def select_rows(names: Sequence[str]) -> list[Row]:
-    """Return the named rows, or all if `names` is empty; raise InputError for an unknown name."""
-    return list(select_named(names, ROWS, "row").values())
 
 
 def heading() -> str:

@@ -8,3 +8,4 @@ time. docs/stress.md derives the bounds.
 
 from . import motion_checks as motion_checks
 from . import parameter_checks as parameter_checks
+from .check import CHECKS as CHECKS

@@ -19,7 +19,6 @@ from ...simulation.members.trajectories import Trajectories
 from ...simulation.simulate import simulate
 from ...simulation.simulate_many import simulate_many
 from ...simulation.trajectory import Trajectory
-from ..bench.problems import select_named
 
 T = TypeVar("T")
 _TIGHT = 1e-8  # largest relative tolerance for the `adaptive` methods
@@ -104,33 +103,21 @@ class Outcome:
     """The result of a check.
 
     Attributes:
-        name: Name of the check.
-        what: Measured quantity and its unit.
+        check: The check.
         cases: Its cases.
         wall: Wall time [s].
         stopped: Message of the error that stopped it; "" if complete.
     """
 
-    name: str
-    what: str
+    check: Check
     cases: tuple[Case, ...]
     wall: float
     stopped: str = ""
 
     @property
-    def worst(self) -> Case | None:
+    def worst(self) -> Case:
         """Case with the largest ratio of number to bound."""
-        return max(self.cases, key=lambda case: case.ratio, default=None)
-
-    @property
-    def measured(self) -> float:
-        """Measured number of the worst case."""
-        return inf if self.worst is None else self.worst.measured
-
-    @property
-    def bound(self) -> float:
-        """Bound of the worst case."""
-        return 0.0 if self.worst is None else self.worst.bound
+        return max(self.cases, key=lambda case: case.ratio, default=Case("", inf, 0.0))
 
     @property
     def passed(self) -> bool:
@@ -169,11 +156,6 @@ PER_GROWTH = 100.0  # largest ratio of the final error to the growth of a small 
 EPS = 2.220446049250313e-16
 
 
-def select_checks(names: Sequence[str]) -> list[Check]:
-    """Return the named checks, or all if `names` is empty; raise InputError for an unknown name."""
-    return list(select_named(names, CHECKS, "check").values())
-
-
 def run_check(
     check: Check, trial: Trial, on_case: Callable[[Check, int], None] | None = None
 ) -> Outcome:
@@ -190,7 +172,7 @@ def run_check(
                     on_case(check, len(cases))
     except PinredError as error:
         stopped = " ".join(f"{type(error).__name__}: {error}".split())
-    return Outcome(check.name, check.what, tuple(cases), time.perf_counter() - began, stopped)
+    return Outcome(check, tuple(cases), time.perf_counter() - began, stopped)
 
 
 def table(outcomes: Sequence[Outcome]) -> str:
@@ -199,17 +181,16 @@ def table(outcomes: Sequence[Outcome]) -> str:
         f"{'check':<16} {'cases':>5} {'measured':>9} {'bound':>9}        {'wall':>6} s  worst case"
     ]
     lines += [
-        f"{outcome.name:<16} {len(outcome.cases):>5} {outcome.measured:>9.1e} "
-        f"{outcome.bound:>9.1e} {'ok' if outcome.passed else 'FAILED':>6} {outcome.wall:>8.1f}  "
-        f"{'' if outcome.worst is None else outcome.worst.name}"
+        f"{outcome.check.name:<16} {len(outcome.cases):>5} {outcome.worst.measured:>9.1e} "
+        f"{outcome.worst.bound:>9.1e} {'ok' if outcome.passed else 'FAILED':>6} "
+        f"{outcome.wall:>8.1f}  {outcome.worst.name}"
         for outcome in outcomes
     ]
     for outcome in outcomes:
-        lines += [f"{outcome.name}: {case}" for case in outcome.cases if not case.passed]
+        name = outcome.check.name
+        lines += [f"{name}: {case}" for case in outcome.cases if not case.passed]
         if outcome.stopped:
-            lines.append(
-                f"{outcome.name}: stopped after {len(outcome.cases)} cases: {outcome.stopped}"
-            )
+            lines.append(f"{name}: stopped after {len(outcome.cases)} cases: {outcome.stopped}")
     passed = sum(outcome.passed for outcome in outcomes)
     lines.append(f"{passed} of {len(outcomes)} checks passed")
     return "\n".join(lines)

@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.linalg import eigh
+from scipy.spatial.transform import Rotation
 
 from ...common.arrays import Array
 from ...judge.reference_solution import FullMotion
@@ -387,17 +388,8 @@ def symmetric_top(moment: float, axial: float, omega: Array, times: Array) -> Ar
     """
     J = np.array([moment, moment, axial]) * omega
     spin = np.array([0.0, 0.0, (1.0 - axial / moment) * omega[2]])
-    return np.array([_rotation(t * J / moment) @ _rotation(t * spin) for t in times])
-
-
-def _rotation(vector: Array) -> Array:
-    """Return the rotation matrix of a rotation vector (3,) by Rodrigues' formula."""
-    angle = float(np.linalg.norm(vector))
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = vector / angle
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K)
+    turns = [Rotation.from_rotvec(np.outer(times, rate)) for rate in (J / moment, spin)]
+    return np.asarray((turns[0] * turns[1]).as_matrix())
 
 
 def body(mass: float, com: ArrayLike, moments: ArrayLike) -> pin.Inertia:

@@ -11,24 +11,35 @@ here allocates no array except its result and computes the root's kinematics wit
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+import numpy as np
+import pinocchio as pin
+from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
-from math import cos, sin
+from math import cos
+from math import sin
 from typing import Any
-
-import numpy as np
-import pinocchio as pin
-from scipy.integrate import ode, odeint, solve_ivp
-
+from scipy.integrate import ode
+from scipy.integrate import odeint
+from scipy.integrate import solve_ivp
 from ....common.arrays import Array
-from ....common.errors import IntegrationError, UnsupportedOperationError, install_command
+from ....common.errors import IntegrationError
+from ....common.errors import UnsupportedOperationError
+from ....common.errors import install_command
 from ....common.waiting import held_interrupt
 from ....judge.full_system import root_motion
 from ....reduction.pointwise_reduction import symmetric
 from ....system.system import System
-from ..problems import ATOL, End, PreparedRun, Problem, Solver, decades
+from ..problems import ATOL
+from ..problems import End
+from ..problems import PreparedRun
+from ..problems import Problem
+from ..problems import Solver
+from ..problems import decades
+from typing import Self
+from typing import TypeAlias
 
 INSTALL = install_command("bench")
 EQUAL = 1e-9  # largest relative difference that counts as equal
@@ -43,6 +54,15 @@ class PeerModel:
     """
 
     system: System
+
+    def __init__(self, system: System) -> None:
+        """Build the model."""
+        self.system = system
+
+    @classmethod
+    def of(cls, system: System) -> Self:
+        """Return the model of a system, built once for each thread."""
+        return system.workspace(cls.__name__, lambda: cls(system))
 
     def turn(self, q: Array) -> Array:
         """Return the orthogonal matrix (n, n) that maps Pinocchio's velocities to the peer's.
@@ -234,6 +254,9 @@ def by_odeint(field: Field, problem: Problem, tolerance: float) -> PreparedRun:
     return PreparedRun(run, lambda result: field.end(*result))
 
 
+Driver: TypeAlias = Callable[[Field, Problem, float], PreparedRun]
+
+
 def scipy_methods(
     prefix: str,
     by: str,
@@ -250,21 +273,18 @@ def scipy_methods(
     Returns:
         One method for each integrator.
     """
-    drivers: dict[str, tuple[str, Callable[[Field, Problem, float], PreparedRun]]] = {
+    drivers: dict[str, tuple[str, Driver]] = {
         "dop853": ("solve_ivp with DOP853", by_solve_ivp),
         "ode-dop853": ("ode with Hairer's dop853", by_ode),
         "odeint": ("odeint", by_odeint),
     }
 
-    def method(
-        name: str, text: str, driver: Callable[[Field, Problem, float], PreparedRun]
-    ) -> Solver:
+    def method(name: str, text: str, driver: Driver) -> Solver:
         def prepare(problem: Problem, tolerance: float) -> PreparedRun:
             return driver(field(problem), problem, tolerance)
 
-        return Solver(
-            f"{prefix}-{name}", f"SciPy's {text} over {by}", decades(2, 13), prepare, missing
-        )
+        about = f"SciPy's {text} over {by}"
+        return Solver(f"{prefix}-{name}", about, decades(2, 13), prepare, missing)
 
     return tuple(method(name, *driver) for name, driver in drivers.items())
 

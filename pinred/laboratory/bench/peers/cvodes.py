@@ -21,7 +21,7 @@ from ....common.arrays import Array
 from ....common.errors import IntegrationError, UnsupportedOperationError
 from ....lie.group import Group
 from ....system.system import System
-from ..problems import ATOL, UNKNOWN, End, PreparedRun, Problem, Solver, decades
+from ..problems import ATOL, End, PreparedRun, Problem, Solver, decades
 from ..timing import timed
 from .aba import PeerModel, missing_unless_equal
 from .heyoka import reduced_graph
@@ -139,7 +139,7 @@ def _root_rate(group: Group, root: ca.SX, v: ca.SX, rotation: ca.SX) -> ca.SX:
 
 
 # The C code is compiled when the Function is made.
-_COMPILED = {
+_COMPILED: dict[str, Any] = {
     "jit": True,
     "compiler": "shell",
     "jit_options": {"compiler": "gcc", "flags": ["-O2", "-march=native", "-ffp-contract=fast"]},
@@ -179,18 +179,13 @@ class FullModel(PeerModel):
 
     def mass_matrix(self, q: Array) -> Array:  # noqa: ARG002
         """Return NaN: the compiled code has no mass matrix."""
-        return np.full((self.system.n, self.system.n), UNKNOWN)
+        return np.full((self.system.n, self.system.n), np.nan)
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """Return dv/dt without torques, (n,)."""
         configuration = self.system.configuration(q)
         rate = self.function(np.concatenate([configuration.pose, configuration.x, v]))
         return np.array(rate).ravel()[-self.system.n :]
-
-
-def full_model(system: System) -> FullModel:
-    """Return the compiled full dynamics, compiled once for each thread."""
-    return system.workspace("full C", lambda: FullModel(system))
 
 
 def _integrator(function: ca.Function, duration: float, tolerance: float) -> ca.Function:
@@ -219,7 +214,7 @@ def _run(integrator: ca.Function, inputs: dict[str, Array]) -> Array:
 
 
 def _full(problem: Problem, tolerance: float) -> PreparedRun:
-    model, y0 = full_model(problem.system), problem.full_start()
+    model, y0 = FullModel.of(problem.system), problem.full_start()
     size, m = problem.system.group.size, problem.system.m
     integrator = _integrator(model.function, problem.start.duration, tolerance)
 
@@ -250,7 +245,7 @@ CVODES = (
         "CVODES with Adams through CasADi, on the full dynamics in C compiled by gcc",
         decades(2, 13),
         _full,
-        missing_unless_equal("casadi", "CVODES", full_model),
+        missing_unless_equal("casadi", "CVODES", FullModel.of),
     ),
     Solver(
         "cvodes-reduced",

@@ -174,14 +174,9 @@ def _inertia(tree: Any, body: pin.Inertia) -> Any:
     return tree.SpatialInertia.MakeFromCentralInertia(body.mass, body.lever, central)
 
 
-def drake_model(system: System) -> DrakeModel:
-    """Return Drake's model of a system, built once for each thread."""
-    return system.workspace("drake", lambda: DrakeModel(system))
-
-
 def _prepare(problem: Problem, tolerance: float) -> PreparedRun:
     analysis = import_module("pydrake.systems.analysis")
-    bridge, duration = drake_model(problem.system), problem.start.duration
+    bridge, duration = DrakeModel.of(problem.system), problem.start.duration
     plant = bridge.plant
     simulator = analysis.Simulator(plant, plant.CreateDefaultContext())
     integrator = analysis.ResetIntegratorFromFlags(simulator, "runge_kutta5", _MAX_STEP)
@@ -214,6 +209,6 @@ DRAKE = (
         "Drake's MultibodyPlant under RungeKutta5, Simulator.AdvanceTo",
         decades(2, 13),
         _prepare,
-        missing_unless_equal("pydrake", "Drake", drake_model),
+        missing_unless_equal("pydrake", "Drake", DrakeModel.of),
     ),
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from importlib import import_module
 from importlib.util import find_spec
@@ -128,27 +128,6 @@ def _missing(problem: Problem, unrolled: str = "") -> str:
     return ""
 
 
-HEYOKA = (
-    Solver(
-        "heyoka",
-        "Taylor, propagation alone, pinred's reduced equations in compact mode",
-        decades(2, 15, 2),
-        partial(_prepare, unrolled=False),
-        _missing,
-    ),
-    Solver(
-        "heyoka-unrolled",
-        "the same without compact mode",
-        decades(2, 14, 3),
-        partial(_prepare, unrolled=True),
-        partial(_missing, unrolled="heyoka-unrolled"),
-    ),
-)
-
-
-_BATCH_TOLERANCES = decades(7, 14)
-
-
 def _prepare_batch(members: Sequence[Problem], tolerance: float, *, unrolled: bool) -> PreparedRun:
     hy = import_module("heyoka")
     flows, end = compile_members(members), members[0].start.duration
@@ -179,19 +158,33 @@ def _prepare_batch(members: Sequence[Problem], tolerance: float, *, unrolled: bo
     return PreparedRun(run, lambda y, member: members[member].end(y[member]))
 
 
-HEYOKA_BATCH = (
-    Solver(
-        "heyoka-batch",
-        "Taylor in batch mode, compact",
-        _BATCH_TOLERANCES,
-        partial(_prepare_batch, unrolled=False),
-        _missing,
+def _solvers(
+    name: str,
+    texts: tuple[str, str],
+    tolerances: tuple[tuple[float, ...], tuple[float, ...]],
+    prepare: Callable[..., PreparedRun],
+) -> tuple[Solver, Solver]:
+    """Return methods with compact code and with unrolled code."""
+    unrolled = f"{name}-unrolled"
+    missing = partial(_missing, unrolled=unrolled)
+    return (
+        Solver(name, texts[0], tolerances[0], partial(prepare, unrolled=False), _missing),
+        Solver(unrolled, texts[1], tolerances[1], partial(prepare, unrolled=True), missing),
+    )
+
+
+HEYOKA = _solvers(
+    "heyoka",
+    (
+        "Taylor, propagation alone, pinred's reduced equations in compact mode",
+        "the same without compact mode",
     ),
-    Solver(
-        "heyoka-batch-unrolled",
-        "the same, unrolled",
-        _BATCH_TOLERANCES,
-        partial(_prepare_batch, unrolled=True),
-        partial(_missing, unrolled="heyoka-batch-unrolled"),
-    ),
+    (decades(2, 15, 2), decades(2, 14, 3)),
+    _prepare,
+)
+HEYOKA_BATCH = _solvers(
+    "heyoka-batch",
+    ("Taylor in batch mode, compact", "the same, unrolled"),
+    (decades(7, 14), decades(7, 14)),
+    _prepare_batch,
 )

@@ -127,13 +127,8 @@ def _wxyz(rotation: Array) -> Array:
     return np.array([w, x, y, z])
 
 
-def mujoco_model(system: System) -> MujocoModel:
-    """Return MuJoCo's model of a system, built once for each thread."""
-    return system.workspace("mujoco", lambda: MujocoModel(system))
-
-
 def _stepping(problem: Problem, fraction: float, integrator: str, stages: int) -> PreparedRun:
-    bridge = mujoco_model(problem.system)
+    bridge = MujocoModel.of(problem.system)
     mj, model, data = bridge.mj, bridge.model, bridge.data
     count, duration = steps_of(fraction), problem.start.duration
     qpos, qvel = bridge.qpos(problem.q0, problem.start.x), bridge.qvel(problem.q0, problem.v0)
@@ -151,7 +146,7 @@ def _stepping(problem: Problem, fraction: float, integrator: str, stages: int) -
 
 def _field(problem: Problem) -> Field:
     """Return the vector field on (qpos, qvel), evaluated by mj_forward."""
-    bridge = mujoco_model(problem.system)
+    bridge = MujocoModel.of(problem.system)
     model, data, forward = bridge.model, bridge.data, bridge.mj.mj_forward
     nq, rate_of = model.nq, _rates(problem.system.group)
     qpos, qvel, qacc = data.qpos, data.qvel, data.qacc
@@ -198,7 +193,7 @@ def _rates(group: Group) -> Callable[[Array, Array, Array], None]:
     return rotating
 
 
-_missing = missing_unless_equal("mujoco", "MuJoCo", mujoco_model)
+_missing = missing_unless_equal("mujoco", "MuJoCo", MujocoModel.of)
 _STEPS = halvings(50, 14)
 
 MUJOCO = (
@@ -226,7 +221,7 @@ _MEMBERS = 2
 
 
 def _prepare_rollout(members: Sequence[Problem], fraction: float) -> PreparedRun:
-    bridge = mujoco_model(members[0].system)
+    bridge = MujocoModel.of(members[0].system)
     rollout = import_module("mujoco.rollout")
     mj, model = bridge.mj, bridge.model
     count, duration = steps_of(fraction), members[0].start.duration
@@ -258,7 +253,7 @@ ROLLOUT = (
         "MuJoCo's rollout with RK4, equal steps",
         halvings(400, 10),
         _prepare_rollout,
-        missing_unless_equal("mujoco", "MuJoCo", mujoco_model),
+        missing_unless_equal("mujoco", "MuJoCo", MujocoModel.of),
         most=_MEMBERS,
     ),
 )
