@@ -8,13 +8,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
-from ..common.errors import InputError
-from ..common.errors import OutputError
+
+from ..common.errors import InputError, OutputError
 from ..common.files import write_table
 from ..common.waiting import Wait
-from .command_options import add_options
-from .command_options import option_adder
-from .command_options import out_path
+from .command_options import add_options, option_adder, out_path
 
 if TYPE_CHECKING:
     from ..laboratory.bench.work_precision import WorkPrecision

@@ -8,24 +8,20 @@ is relative to an evaluation of the rate.
 from __future__ import annotations
 
 import sys
-import numpy as np
-import pinred
-from collections.abc import Callable
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
+
+import numpy as np
+
+import pinred
 from pinred.common.arrays import Array
 from pinred.common.waiting import one_by_one
 from pinred.integrators.integrate import Integration
-from pinred.kernels.kernel import repeat
-from pinred.kernels.kernel import repeat_adjoint
-from pinred.laboratory.bench.timing import Table
-from pinred.laboratory.bench.timing import alternating
-from pinred.laboratory.bench.timing import repeated
-from pinred.laboratory.bench.timing import robots_to_measure
+from pinred.kernels.kernel import repeat, repeat_adjoint
+from pinred.laboratory.bench.timing import Action, Table, alternating, repeated, robots_to_measure
 from pinred.simulation.flow_map.flow import Flow
-from pinred.laboratory.bench.timing import Action
 
 _BUNDLED, _EXAMPLES = ("planar_chain5", "satellite_two_arms"), ("solo12", "talos")
 _SPAN = 2.0  # duration of the motion [s]

@@ -12,36 +12,27 @@ import re
 import subprocess
 import sys
 import time
-import numpy as np
-import pinocchio as pin
-from collections.abc import Callable
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
+
+import numpy as np
+import pinocchio as pin
+
 from ...common.argument_kinds import checks_arguments
-from ...common.errors import InputError
-from ...common.errors import IntegrationError
-from ...common.errors import PinredError
+from ...common.errors import InputError, IntegrationError, PinredError
 from ...common.object_cache import ObjectCache
-from ...common.waiting import Progress
-from ...common.waiting import one_by_one
-from ...common.waiting import quiet
-from ...common.waiting import shown
+from ...common.waiting import Progress, one_by_one, quiet, shown
 from ...forces.kinds import Damper
-from ...integrators.integrate_many import Solutions
-from ...integrators.integrate_many import integrate_many
+from ...integrators.integrate_many import Solutions, integrate_many
 from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import DOP853
 from ...judge.compare import compare
-from ...judge.reference_solution import FINEST
-from ...judge.reference_solution import FullMotion
+from ...judge.reference_solution import FINEST, FullMotion
 from ...judge.verdict import Report
-from ...kernels.build import build_kernel
-from ...kernels.build import wide_rate
-from ...kernels.kernel import Kernel
-from ...kernels.kernel import Structure
-from ...kernels.kernel import repeat
+from ...kernels.build import build_kernel, wide_rate
+from ...kernels.kernel import Kernel, Structure, repeat
 from ...reduction.cyclic_joints import cyclic_joints
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...simulation.members.integrate_members import lanes_of
@@ -52,22 +43,19 @@ from ...system.load import load
 from ...system.system import System
 from .peers.heyoka import HEYOKA_BATCH
 from .peers.mujoco import ROLLOUT
-from .problems import FAMILIES
-from .problems import End
-from .problems import PreparedRun
-from .problems import Problem
-from .problems import Solver
-from .problems import chain
-from .problems import compile_members
-from .problems import generate_members
-from .problems import problems_named
-from .problems import select_named
-from .timing import Action
-from .timing import Table
-from .timing import alternating
-from .timing import repeated
-from .timing import robots_to_measure
-from .timing import timed
+from .problems import (
+    FAMILIES,
+    End,
+    PreparedRun,
+    Problem,
+    Solver,
+    chain,
+    compile_members,
+    generate_members,
+    problems_named,
+    select_named,
+)
+from .timing import Action, Table, alternating, repeated, robots_to_measure, timed
 
 _ROBOTS = ("coupled_planar", "planar_chain5", "falling_cat", "satellite_two_arms")
 _EXAMPLE_ROBOTS = ("ur5", "solo12", "talos")

@@ -6,39 +6,28 @@ problem. A solver prepares runs of a problem, or of a batch of members, at a tol
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Any, TypeVar
+
 import numpy as np
 import pinocchio as pin
-from collections.abc import Callable
-from collections.abc import Mapping
-from collections.abc import Sequence
-from dataclasses import dataclass
-from dataclasses import field
-from dataclasses import replace
-from functools import cached_property
-from functools import partial
-from typing import Any
-from typing import TypeVar
 from numpy.typing import ArrayLike
+
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array
-from ...common.arrays import freeze
+from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ...common.names import nearest
-from ...judge.reference_solution import FullMotion
-from ...judge.reference_solution import FullState
+from ...judge.reference_solution import FullMotion, FullState
 from ...scene.initial_state import random_state
 from ...scene.scene import Scene
-from ...simulation.compiled.compiled_flow import CompiledFlow
-from ...simulation.compiled.compiled_flow import flows_of
-from ...simulation.plan import of_scenes
-from ...simulation.plan import plan_of
+from ...simulation.compiled.compiled_flow import CompiledFlow, flows_of
+from ...simulation.plan import of_scenes, plan_of
 from ...system.coordinates import InitialState
 from ...system.load import load
-from ...system.robot_files import INSTALL_ROBOTS
-from ...system.robot_files import bundled_robots
-from ...system.robot_files import has_example_robots
-from ...system.state_fields import State
-from ...system.state_fields import with_base
+from ...system.robot_files import INSTALL_ROBOTS, bundled_robots, has_example_robots
+from ...system.state_fields import State, with_base
 from ...system.system import System
 
 FAMILIES = ("planar", "spatial")

@@ -11,35 +11,24 @@ here allocates no array except its result and computes the root's kinematics wit
 from __future__ import annotations
 
 import warnings
-import numpy as np
-import pinocchio as pin
-from collections.abc import Callable
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
-from math import cos
-from math import sin
-from typing import Any
-from scipy.integrate import ode
-from scipy.integrate import odeint
-from scipy.integrate import solve_ivp
+from math import cos, sin
+from typing import Any, Self, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+from scipy.integrate import ode, odeint, solve_ivp
+
 from ....common.arrays import Array
-from ....common.errors import IntegrationError
-from ....common.errors import UnsupportedOperationError
-from ....common.errors import install_command
+from ....common.errors import IntegrationError, UnsupportedOperationError, install_command
 from ....common.waiting import held_interrupt
 from ....judge.full_system import root_motion
 from ....reduction.pointwise_reduction import symmetric
 from ....system.system import System
-from ..problems import ATOL
-from ..problems import End
-from ..problems import PreparedRun
-from ..problems import Problem
-from ..problems import Solver
-from ..problems import decades
-from typing import Self
-from typing import TypeAlias
+from ..problems import ATOL, End, PreparedRun, Problem, Solver, decades
 
 INSTALL = install_command("bench")
 EQUAL = 1e-9  # largest relative difference that counts as equal
