@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import filecmp
+import lzma
 import os
 import subprocess
 import sys
@@ -118,7 +119,9 @@ def compile_missing(folder: Path) -> None:
 
     def compile_and_write(function: Any, name: str, types: tuple[ArgumentType, ...]) -> Bitcode:
         bitcode = compile_bitcode(function, name, types)
-        shipped_code.write_shipped(name, bitcode)
+        folder.mkdir(parents=True, exist_ok=True)
+        text = f"{bitcode.result}\n".encode() + bitcode.module
+        (folder / name).write_bytes(lzma.compress(text, preset=9 | lzma.PRESET_EXTREME))
         return bitcode
 
     numba_functions.compile_bitcode = compile_and_write
