@@ -158,7 +158,9 @@ def class_entry(full: str, value: type) -> str:
     if is_dataclass(value):
         parts.append(field_table(value, described))
     parts.append(tail(start))
-    for name, member in sorted(vars(value).items()):
+    bases = [base for base in reversed(value.__mro__) if base.__module__.startswith("pinred.")]
+    members = {name: member for base in bases for name, member in vars(base).items()}
+    for name, member in sorted(members.items()):
         if name.startswith("_") and name != "__call__":
             continue
         parts.append(member_entry(full, name, member))

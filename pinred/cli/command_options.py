@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..common.errors import InputError
 from ..common.files import FIGURES, check_path, write_atomic, write_table
-from ..common.names import quoted
+from ..common.names import is_number, quoted
 from ..common.waiting import ProgressBar
 
 if TYPE_CHECKING:
@@ -116,14 +116,6 @@ def _joined(text: str, continues: Callable[[str], bool]) -> list[str]:
     return entries
 
 
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
 def _number_or_list(text: str) -> float | list[float]:
     return floats_in(text) if "," in text else float(text)
 
@@ -173,7 +165,7 @@ def stop_in(text: str) -> list[float] | BallStop:
 def lock_in(text: str, option: str) -> dict[str, float | list[float]]:
     """Parse J1,J2=VALUE,J3=V1,V2,V3 into {joint: value}, with zero for joints without a value."""
     lock: dict[str, float | list[float]] = {}
-    for entry in _joined(text, _is_number):
+    for entry in _joined(text, is_number):
         name, _, value = entry.partition("=")
         numbers = numbers_in(value, option) or [0.0]
         lock[name] = numbers[0] if len(numbers) == 1 else numbers

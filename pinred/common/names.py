@@ -164,3 +164,12 @@ class NamedResults(dict[str, T]):
 
     def __reduce__(self) -> tuple[type, tuple[str, dict[str, T]]]:
         return type(self), (self._kind, dict(self))
+
+
+def is_number(word: str) -> bool:
+    """Return whether a word denotes a number."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

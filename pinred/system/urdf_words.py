@@ -14,7 +14,7 @@ from fnmatch import fnmatchcase
 from functools import cache, lru_cache
 from xml.etree.ElementTree import Element
 
-from ..common.names import plain, quoted
+from ..common.names import is_number, plain, quoted
 from .robot_file_contents import LeftOut
 from .robot_files import place
 from .sdf_words import PLUGINS, REPEATED, plugin_kind, waits_for_commands
@@ -388,16 +388,8 @@ def _shown(element: Element, owner: Element) -> str:
 
 def _is_neutral(value: str, neutral: tuple[str, ...]) -> bool:
     """Return whether all words of a value are neutral."""
-    numbers = {float(word) for word in neutral if _is_number(word)}
+    numbers = {float(word) for word in neutral if is_number(word)}
     return bool(neutral) and all(
-        word.lower() in neutral or (_is_number(word) and float(word) in numbers)
+        word.lower() in neutral or (is_number(word) and float(word) in numbers)
         for word in value.split()
     )
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

@@ -87,18 +87,6 @@ def read_shipped(name: str) -> Bitcode:
     return Bitcode(result.decode(), module)
 
 
-def write_shipped(name: str, bitcode: Bitcode) -> None:
-    """Write the bitcode of a function to the folder of shipped bitcode.
-
-    Args:
-        name: Name of its file, see `shipped_name`.
-        bitcode: The bitcode.
-    """
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    data = f"{bitcode.result}\n".encode() + bitcode.module
-    (FOLDER / name).write_bytes(lzma.compress(data, preset=9 | lzma.PRESET_EXTREME))
-
-
 # The cache of the code of all compiled functions. Its folder is chosen once, so that a process
 # never compiles a function for two folders.
 STORE = ObjectCache()

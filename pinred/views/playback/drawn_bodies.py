@@ -207,7 +207,8 @@ def _from_geometry(system: System, shapes: Shapes) -> Bodies:
     meshes: dict[Hashable, int] = {}
     drawn: list[Mesh] = []
     skipped: list[int] = []  # joints of the shapes that cannot be drawn
-    between = _between_hinges(system)
+    # A ball has replaced these hinges, between which bodies are massless.
+    between = {name for triple in system.contents.merged for name in triple.hinges[:-1]}
     for entry in geometry.geometryObjects:
         if str(raw.names[entry.parentJoint]) in between:
             continue
@@ -234,11 +235,6 @@ def _from_geometry(system: System, shapes: Shapes) -> Bodies:
     if solids and empty:
         solids += [solid for solid in _from_inertias(system) if solid.joint in empty]
     return Bodies(tuple(solids), tuple(drawn), _remark(len(skipped), shapes.unreadable))
-
-
-def _between_hinges(system: System) -> set[str]:
-    """Return the hinges whose massless bodies a ball has replaced."""
-    return {name for triple in system.contents.merged for name in triple.hinges[:-1]}
 
 
 def _mesh_of(
