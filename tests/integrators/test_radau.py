@@ -34,8 +34,7 @@ from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.radau import radau_iia
 from pinred.integrators.solution import Solution
-from pinred.integrators.stepping import run_state
-from pinred.integrators.stepping.linear_systems import factor, factor_complex, solve, solve_complex
+from pinred.integrators.stepping import linear_systems, run_state
 from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.kernels import derived_code as tangent
 from pinred.kernels.derived_code import jacobian_of, tangent_of
@@ -43,6 +42,11 @@ from pinred.kernels.machine import native
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
+
+# Python runs the solution of linear systems; machine code of Radau contains it.
+_SYSTEMS: Any = linear_systems
+factor, solve = _SYSTEMS.factor.py_func, _SYSTEMS.solve.py_func
+factor_complex, solve_complex = _SYSTEMS.factor_complex.py_func, _SYSTEMS.solve_complex.py_func
 
 
 def _pol(y: Any, p: Any, d: Any) -> None:
