@@ -2,45 +2,47 @@
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pytest
+from functools import cache
+from typing import Any
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-
-from pinred.common.arrays import Array, read_only
+from pinred.common.arrays import Array
+from pinred.common.arrays import read_only
 from pinred.common.errors import InputError
-from pinred.common.machine_code import NativeCode, load_object
-from pinred.integrators.integrate import Integration, Solution, integrate, integrate_parts
+from pinred.common.machine_code import NativeCode
+from pinred.common.machine_code import load_object
+from pinred.integrators.integrate import Integration
+from pinred.integrators.integrate import Solution
+from pinred.integrators.integrate import integrate
+from pinred.integrators.integrate import integrate_parts
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.lanes.integrate_in_lanes import integrate_in_lanes
-from pinred.integrators.methods import (
-    DOP853,
-    RKMK4,
-    AdaptiveGauss,
-    Explicit,
-    Gauss,
-    Method,
-    Radau,
-    Tsit5,
-    Variational,
-)
+from pinred.integrators.methods import DOP853
+from pinred.integrators.methods import RKMK4
+from pinred.integrators.methods import AdaptiveGauss
+from pinred.integrators.methods import Explicit
+from pinred.integrators.methods import Gauss
+from pinred.integrators.methods import Method
+from pinred.integrators.methods import Radau
+from pinred.integrators.methods import Tsit5
+from pinred.integrators.methods import Variational
 from pinred.integrators.methods.method import ErrorControl
-from pinred.integrators.run_derivatives import SmoothField, run_along, run_back
+from pinred.integrators.run_derivatives import SmoothField
+from pinred.integrators.run_derivatives import run_along
+from pinred.integrators.run_derivatives import run_back
 from pinred.integrators.stepping.intrinsics import SEEDS
-from pinred.integrators.stepping.run_state import (
-    TURN,
-    Quaternions,
-    entry_size,
-    in_quaternion,
-    unit,
-    unit_alone,
-)
+from pinred.integrators.stepping.run_state import TURN
+from pinred.integrators.stepping.run_state import Quaternions
+from pinred.integrators.stepping.run_state import entry_size
+from pinred.integrators.stepping.run_state import in_quaternion
+from pinred.integrators.stepping.run_state import unit
+from pinred.integrators.stepping.run_state import unit_alone
 from pinred.integrators.stepping.step_loop import Stepper
 from pinred.kernels.machine.native import compile_object
+from pinred.integrators.stepping import state_rows
 
 # A state contains an oscillator and a clock (3,), the body momenta of B tops (3 B,), and their
 # quaternions (4 B,). The rows of three tops have no padding. Parameters of a top: inertias (3,),
@@ -276,8 +278,12 @@ def test_angle_errors_of_symmetric_tops_follow_tolerance(
         assert angles.max() < bound * rtol * solution.steps
 
 
-def test_row_operations_treat_each_quaternion() -> None:
+def test_row_operations_treat_each_quaternion(monkeypatch: pytest.MonkeyPatch) -> None:
     """Positions, error scales, and normalisation with rates; the other entries do not change."""
+    for name, function in vars(state_rows).copy().items():
+        if hasattr(function, "py_func"):  # Python runs it
+            monkeypatch.setattr(state_rows, name, function.py_func)
+    in_quaternion, entry_size = state_rows.in_quaternion, state_rows.entry_size
     y, rates = np.arange(1.0, 12.0), np.linspace(2.0, 3.0, 11)
     where: Quaternions = (2, 2)
     inside = [in_quaternion(i, where) for i in range(11)]
@@ -289,8 +295,8 @@ def test_row_operations_treat_each_quaternion() -> None:
     for k in (2, 6):
         factors[k : k + 4] = 1.0 / np.linalg.norm(y[k : k + 4])
     alone, both, scaled = y.copy(), y.copy(), rates.copy()
-    unit_alone(alone, where)
-    unit(both, scaled, where)
+    state_rows.unit_alone(alone, where)
+    state_rows.unit(both, scaled, where)
     np.testing.assert_allclose(alone, expected * factors, rtol=1e-15)
     np.testing.assert_array_equal(both, alone)
     np.testing.assert_allclose(scaled, rates * factors, rtol=1e-15)
