@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-import pinred
-from typing import Any
 from scipy.linalg import expm
+
+import pinred
 from pinred.common.arrays import Array
 from pinred.integrators.explicit import run_sensitivities as module
-from pinred.integrators.stepping.intrinsics import SEEDS
 from pinred.integrators.stepping import state_rows
+from pinred.integrators.stepping.intrinsics import SEEDS
+
 
 def test_states_and_tangents_inside_steps_are_those_of_the_exponential(
     monkeypatch: pytest.MonkeyPatch,

@@ -4,49 +4,43 @@ from __future__ import annotations
 
 import signal
 import threading
+from dataclasses import replace
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from dataclasses import replace
-from typing import Any
 from aba import kinematics
 from numpy.polynomial import Polynomial
 from orders import fit_order
 from scipy.integrate import solve_ivp
 from scipy.integrate._ivp import radau as book
 from stiff_kernels import kernels
-from pinred import DOP853
-from pinred import Radau
-from pinred.common.arrays import Array
-from pinred.common.arrays import read_only
-from pinred.common.errors import InputError
-from pinred.common.errors import KernelMismatch
-from pinred.common.errors import NonFiniteState
-from pinred.common.errors import StepSizeUnderflow
-from pinred.common.errors import TooManySteps
-from pinred.forces import PD
-from pinred.forces import Damper
-from pinred.forces import Limit
-from pinred.forces import Torque
+
+import pinred
+from pinred import DOP853, Radau
+from pinred.common.arrays import Array, read_only
+from pinred.common.errors import (
+    InputError,
+    KernelMismatch,
+    NonFiniteState,
+    StepSizeUnderflow,
+    TooManySteps,
+)
+from pinred.forces import PD, Damper, Limit, Torque
 from pinred.integrators import integrate as drive
 from pinred.integrators.implicit import radau_iia
-from pinred.integrators.integrate import Solution
-from pinred.integrators.integrate import integrate
-from pinred.integrators.integrate_many import STATUS
-from pinred.integrators.integrate_many import integrate_many
-from pinred.integrators.stepping import run_state
-from pinred.judge.reference_solution import FullMotion
-from pinred.judge.reference_solution import FullState
+from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.integrate_many import STATUS, integrate_many
+from pinred.integrators.stepping import linear_systems, run_state
+from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.kernels import build as tangent
-from pinred.kernels.build import jacobian_of
-from pinred.kernels.build import tangent_of
+from pinred.kernels.build import jacobian_of, tangent_of
 from pinred.kernels.machine import native
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
-from pinred.integrators.stepping import linear_systems
 
 # Python runs the solution of linear systems; machine code of Radau contains it.
 _SYSTEMS: Any = linear_systems

@@ -2,47 +2,42 @@
 
 from __future__ import annotations
 
+from functools import cache
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
-from functools import cache
-from typing import Any
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from pinred.common.arrays import Array
-from pinred.common.arrays import read_only
+
+from pinred.common.arrays import Array, read_only
 from pinred.common.errors import InputError
-from pinred.common.machine_code import NativeCode
-from pinred.common.machine_code import load_object
-from pinred.integrators.integrate import Integration
-from pinred.integrators.integrate import Solution
-from pinred.integrators.integrate import integrate
-from pinred.integrators.integrate import integrate_parts
+from pinred.common.machine_code import NativeCode, load_object
+from pinred.integrators.integrate import Integration, Solution, integrate, integrate_parts
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.lanes.integrate_in_lanes import integrate_in_lanes
-from pinred.integrators.methods import DOP853
-from pinred.integrators.methods import RKMK4
-from pinred.integrators.methods import AdaptiveGauss
-from pinred.integrators.methods import Explicit
-from pinred.integrators.methods import Gauss
-from pinred.integrators.methods import Method
-from pinred.integrators.methods import Radau
-from pinred.integrators.methods import Tsit5
-from pinred.integrators.methods import Variational
+from pinred.integrators.methods import (
+    DOP853,
+    RKMK4,
+    AdaptiveGauss,
+    Explicit,
+    Gauss,
+    Method,
+    Radau,
+    Tsit5,
+    Variational,
+)
 from pinred.integrators.methods.method import ErrorControl
-from pinred.integrators.run_derivatives import SmoothField
-from pinred.integrators.run_derivatives import run_along
-from pinred.integrators.run_derivatives import run_back
+from pinred.integrators.run_derivatives import SmoothField, run_along, run_back
+from pinred.integrators.stepping import state_rows
 from pinred.integrators.stepping.intrinsics import SEEDS
-from pinred.integrators.stepping.run_state import TURN
-from pinred.integrators.stepping.run_state import Quaternions
-from pinred.integrators.stepping.run_state import entry_size
-from pinred.integrators.stepping.run_state import in_quaternion
-from pinred.integrators.stepping.run_state import unit
-from pinred.integrators.stepping.run_state import unit_alone
+from pinred.integrators.stepping.run_state import (
+    TURN,
+    Quaternions,
+)
 from pinred.integrators.stepping.step_loop import Stepper
 from pinred.kernels.machine.native import compile_object
-from pinred.integrators.stepping import state_rows
 
 # A state contains an oscillator and a clock (3,), the body momenta of B tops (3 B,), and their
 # quaternions (4 B,). The rows of three tops have no padding. Parameters of a top: inertias (3,),
