@@ -10,21 +10,17 @@ from typing import TypeAlias
 import numpy as np
 
 from ...common.arrays import Array, read_only
-from ...common.errors import AccuracyWarning, InputError
-from ...forces.force_numbers import Tables
+from ...common.errors import AccuracyWarning
 from ...integrators.integrate import Solution
 from ...integrators.stepping.compiling import compiled
 from ...integrators.stepping.intrinsics import call, call_adjoint
-from ...kernels.build import expect_code
 from ...kernels.flow_functions import (
     Row,
-    initial_conditions_of,
     outcome_of,
     reference_in,
     reference_size,
 )
-from ...kernels.initial_conditions import TwistOrMomentum
-from ...kernels.kernel import Kernel, call_value, evaluate
+from ...kernels.kernel import Kernel
 from ...system.coordinates import Indices
 from ..closed_loops import may_pass_singular_shape, refuse_singular_shapes
 from ..compiled.compiled_flow import CompiledFlow
