@@ -56,7 +56,9 @@ def cyclic_joints(
     depends[[*touched, *system.space.ball_v.tolist()]] = True
     data = system.sorted_data
     heavy = pivot_weight(system).any()
-    for _ in range(_SAMPLES if m else 0):
+    for _ in range(_SAMPLES):
+        if depends.all():
+            break
         at = red.at(system.space.random(rng, 3.0))
         q = system.sorted_q(system.group.identity(), at.x)
         com_derivative = system.on_shape(pin.jacobianCenterOfMass(system.sorted_model, data, q))[

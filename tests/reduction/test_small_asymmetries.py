@@ -153,3 +153,14 @@ def test_wheels_on_heavy_pivot_are_cyclic_if_balanced(gravity: float) -> None:
 def test_symmetry_error_omits_axes_of_small_moments(moments: list[list[float]], axes: str) -> None:
     """Below a thousandth of the axis, or a millionth of the largest moment."""
     assert potential._axes(np.array(moments)) == axes
+
+
+def test_cyclic_joints_stop_sampling_once_every_joint_has_an_effect(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Further shapes cannot change the answer, and take seconds for hundreds of joints."""
+    red, shapes = Reduction(pinred.load("planar_chain5")), []
+    at = Reduction.at
+    monkeypatch.setattr(Reduction, "at", lambda self, x: shapes.append(x) or at(self, x))
+    assert cyclic_joints(red) == ()
+    assert len(shapes) == 1
