@@ -31,7 +31,7 @@ from ..integrators.methods import DOP853, METHODS, Explicit, Tsit5
 from ..integrators.stepping import shipped_code
 from ..integrators.stepping.call_wrapper import ArgumentType, Bitcode
 from ..judge.compare import compare
-from ..kernels.device.device_code import loop_arguments
+from ..kernels.device.device_code import _bitcode, loop_arguments
 from ..kernels.device.few_rows import stepper_with_few_rows
 from ..simulation.flow_map.flow import flow
 from ..simulation.simulate import simulate
@@ -142,6 +142,8 @@ def _calls(system: System) -> Iterator[Callable[[], Any]]:
         for tangent in (False, True):
             stepper = stepper_with_few_rows(method_class(), tangent=tangent)
             yield partial(stepper.loops.advance, *loop_arguments())
+        stepper = stepper_with_few_rows(method_class(), group=True)
+        yield partial(_bitcode, stepper.loops.advance)
         yield partial(_jacobians, system, method_class.__name__)
     yield partial(_uncommon, system)
     yield partial(_film, system)

@@ -144,7 +144,15 @@ class _Warp:
         """Return the IR of the first function of each thread, and of exchanges."""
         at = {
             name: f"inttoptr (i64 {getattr(self, name).ctypes.data} to ptr)"
-            for name in ("contexts", "places", "numbers", "exchanges", "ended", "mixed", "arguments")
+            for name in (
+                "contexts",
+                "places",
+                "numbers",
+                "exchanges",
+                "ended",
+                "mixed",
+                "arguments",
+            )
         }
         tid = f"inttoptr (i64 {ctypes.addressof(_NUMBERS['tid'])} to ptr)"
         loads = "\n".join(
@@ -164,31 +172,31 @@ declare void @_longjmp(ptr, i32) noreturn
 define void @host.thread() {{
 %tid = load volatile i32, ptr {tid}
 %lane = and i32 %tid, {_WARP - 1}
-%begun.at = getelementptr i64, ptr {at['exchanges']}, i32 %lane
+%begun.at = getelementptr i64, ptr {at["exchanges"]}, i32 %lane
 %begun = load volatile i64, ptr %begun.at
 %isnew = icmp eq i64 %begun, 0
 br i1 %isnew, label %start, label %continue
 continue:
-%place = getelementptr [{_PLACE} x i8], ptr {at['places']}, i32 %lane
+%place = getelementptr [{_PLACE} x i8], ptr {at["places"]}, i32 %lane
 call void @_longjmp(ptr %place, i32 1)
 unreachable
 start:
 {loads}
 {casts}
-call void @{name}({', '.join(values)})
-%ended = getelementptr i64, ptr {at['ended']}, i32 %lane
+call void @{name}({", ".join(values)})
+%ended = getelementptr i64, ptr {at["ended"]}, i32 %lane
 store i64 1, ptr %ended
 ret void
 }}
 define i32 @host.exchange(i32 %mask, i32 %number, i32 %source) noinline {{
 %tid = load volatile i32, ptr {tid}
 %lane = and i32 %tid, {_WARP - 1}
-%count.at = getelementptr i64, ptr {at['exchanges']}, i32 %lane
+%count.at = getelementptr i64, ptr {at["exchanges"]}, i32 %lane
 %before = load volatile i64, ptr %count.at
 %count = add i64 %before, 1
 store volatile i64 %count, ptr %count.at
 %parity = and i64 %count, 1
-%own = getelementptr [{_WARP} x i32], ptr {at['numbers']}, i64 %parity, i32 %lane
+%own = getelementptr [{_WARP} x i32], ptr {at["numbers"]}, i64 %parity, i32 %lane
 store volatile i32 %number, ptr %own
 %until = shl i32 -2, %lane
 %after = and i32 %mask, %until
@@ -198,34 +206,43 @@ store volatile i32 %number, ptr %own
 %change = sub i32 %next, %lane
 %next.tid = add i32 %tid, %change
 store volatile i32 %next.tid, ptr {tid}
-%place = getelementptr [{_PLACE} x i8], ptr {at['places']}, i32 %lane
+%place = getelementptr [{_PLACE} x i8], ptr {at["places"]}, i32 %lane
 %returned = call i32 @_setjmp(ptr %place)
 %isleaving = icmp eq i32 %returned, 0
 br i1 %isleaving, label %leave, label %back
 leave:
-%begun.at = getelementptr i64, ptr {at['exchanges']}, i32 %next
+%ended.at = getelementptr i64, ptr {at["ended"]}, i32 %next
+%ended = load volatile i64, ptr %ended.at
+%isover = icmp ne i64 %ended, 0
+br i1 %isover, label %fail, label %go
+fail:
+%launch = getelementptr [{_CONTEXT} x i8], ptr {at["contexts"]}, i32 {_WARP}
+%failed = call i32 @setcontext(ptr %launch)
+unreachable
+go:
+%begun.at = getelementptr i64, ptr {at["exchanges"]}, i32 %next
 %begun = load volatile i64, ptr %begun.at
 %isnew = icmp eq i64 %begun, 0
 br i1 %isnew, label %start, label %continue
 start:
-%context = getelementptr [{_CONTEXT} x i8], ptr {at['contexts']}, i32 %next
+%context = getelementptr [{_CONTEXT} x i8], ptr {at["contexts"]}, i32 %next
 %status = call i32 @setcontext(ptr %context)
 unreachable
 continue:
-%other.place = getelementptr [{_PLACE} x i8], ptr {at['places']}, i32 %next
+%other.place = getelementptr [{_PLACE} x i8], ptr {at["places"]}, i32 %next
 call void @_longjmp(ptr %other.place, i32 1)
 unreachable
 back:
 store volatile i32 %tid, ptr {tid}
-%other.at = getelementptr i64, ptr {at['exchanges']}, i32 %source
+%other.at = getelementptr i64, ptr {at["exchanges"]}, i32 %source
 %other = load volatile i64, ptr %other.at
 %ahead = sub i64 %other, %count
 %ismixed = icmp ugt i64 %ahead, 1
-%mixed = load volatile i64, ptr {at['mixed']}
+%mixed = load volatile i64, ptr {at["mixed"]}
 %also = zext i1 %ismixed to i64
 %any = or i64 %mixed, %also
-store volatile i64 %any, ptr {at['mixed']}
-%result.at = getelementptr [{_WARP} x i32], ptr {at['numbers']}, i64 %parity, i32 %source
+store volatile i64 %any, ptr {at["mixed"]}
+%result.at = getelementptr [{_WARP} x i32], ptr {at["numbers"]}, i64 %parity, i32 %source
 %result = load volatile i32, ptr %result.at
 ret i32 %result
 }}

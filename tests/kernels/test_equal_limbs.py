@@ -24,6 +24,7 @@ from pinred.kernels.device.equal_limbs import Group, exchange_ir, group_of
 from pinred.kernels.kernel import Kernel, Structure
 from pinred.system.system import System
 
+
 def spider(seed: int = 0, limbs: int = 4, *, balls: bool = False) -> System:
     """Return a body with equal limbs of three hinges and a tail of one.
 
@@ -150,9 +151,7 @@ declare i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
 """
     sums, ofs = np.empty((groups, threads)), np.empty((groups, threads))
     firsts = np.empty((groups, threads), np.int64)
-    launch = Launch(
-        code.encode(), "exchange", (), (numbers, indices), (sums, ofs, firsts), threads
-    )
+    launch = Launch(code.encode(), "exchange", (), (numbers, indices), (sums, ofs, firsts), threads)
     run_on_devices(launch)
     pairs = numbers
     while pairs.shape[1] > 1:
@@ -243,22 +242,3 @@ def test_random_limbs_agree_with_the_cpu(
     system = System(make("SE3", 4, 2, seed))
     assert _group(system) is not None
     _agree(system, monkeypatch, **_options(system, 3))
-
-
-def test_entry_that_is_not_finite_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All threads of a group end together, also if only one of them has seen the entry."""
-    monkeypatch.setattr(equal_limbs, "SHARE", 1.0)
-    system = spider(2)
-
-    def torque(t: ca.SX, *_: Any) -> Any:
-        return ca.sqrt(0.2 - t)
-
-    options = _options(system) | {"forces": [Torque({"limb2_1": torque})]}
-    cpu = pinred.simulate_many(system, **options)
-    host_driver(monkeypatch)
-    device = pinred.simulate_many(system, device="cuda", **options)
-    assert len(cpu.failures) == 6
-    for found, expected in zip(device.failures, cpu.failures, strict=True):
-        assert "limb2_1" in expected.reason
-        assert found.reason == expected.reason
-        assert found.time == pytest.approx(expected.time, rel=1e-9)

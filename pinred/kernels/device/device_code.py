@@ -197,7 +197,9 @@ def ptx_of(kernel: Kernel, method: Explicit, *, tangent: bool = False) -> bytes:
         UnsupportedOperationError: The code needs a function that devices do not have.
     """
     group = None if tangent else group_of(kernel)
-    advance: Any = stepper_with_few_rows(method, tangent=tangent, group=group is not None).loops.advance
+    advance: Any = stepper_with_few_rows(
+        method, tangent=tangent, group=group is not None
+    ).loops.advance
     loop = advance.py_func.__name__, advance.stamp
     return _cached_ptx(kernel, loop, lambda: device_ir(kernel, method, tangent=tangent))
 

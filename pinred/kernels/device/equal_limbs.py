@@ -201,7 +201,10 @@ class _Expressions:
             if len(value) > 1 and self.kind(value) == "input":
                 entries = tuple(self.nodes[k].numbers[1] for k in value)
                 for entry in entries:
-                    if len({*entries}) < len(entries) or limbs.setdefault(entry, entries) != entries:
+                    if (
+                        len({*entries}) < len(entries)
+                        or limbs.setdefault(entry, entries) != entries
+                    ):
                         return None
         return limbs
 
@@ -305,7 +308,9 @@ class _Writer:
         if angle not in self._both:
             call = f"call {{double, double}} @pinred.sincos1(double {angle})"
             self._both[angle] = self._put(call)
-        return self._put(f"extractvalue {{double, double}} {self._both[angle]}, {op == ca.OP_COS:d}")
+        return self._put(
+            f"extractvalue {{double, double}} {self._both[angle]}, {op == ca.OP_COS:d}"
+        )
 
     def _constant(self, numbers: list[str]) -> str:
         if len(set(numbers)) == 1:

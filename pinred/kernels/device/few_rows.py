@@ -349,7 +349,9 @@ def _stepper(name: str, order: int, tableau: Tableau, tangent: bool, group: bool
     rows, s = Rows.of(tableau), tableau.stages
     # Bitcode in caches belongs to this file, too.
     version = sha256(Path(__file__).read_bytes()).hexdigest()[:12]
-    prefix = f"{name}_few_{digest(order, tableau)}_{version}{'_tangent' * tangent}{'_group' * group}"
+    prefix = (
+        f"{name}_few_{digest(order, tableau)}_{version}{'_tangent' * tangent}{'_group' * group}"
+    )
 
     def weighted(out: int, base: int | None, weights: Array) -> Sum:
         rates = zip(rows.rates, weights.tolist(), strict=False)
