@@ -12,6 +12,9 @@ from __future__ import annotations
 import ctypes
 import re
 import sys
+import llvmlite.binding as llvm
+import numpy as np
+import pytest
 from collections import OrderedDict
 from collections.abc import Callable
 from enum import IntEnum
@@ -20,16 +23,16 @@ from importlib.util import find_spec
 from itertools import count
 from types import ModuleType
 from typing import Any
-
-import llvmlite.binding as llvm
-import numpy as np
-import pytest
-
-from pinred.common.machine_code import LLVM_LOCK, NativeCode, create_machine, load_object
+from pinred.common.machine_code import LLVM_LOCK
+from pinred.common.machine_code import NativeCode
+from pinred.common.machine_code import create_machine
+from pinred.common.machine_code import load_object
 from pinred.common.memo import once_for_all
 from pinred.integrators.methods.method import Explicit
-from pinred.kernels.device import cuda_driver, device_code
-from pinred.kernels.device.device_code import device_ir, outputs_ir
+from pinred.kernels.device import cuda_driver
+from pinred.kernels.device import device_code
+from pinred.kernels.device.device_code import device_ir
+from pinred.kernels.device.device_code import outputs_ir
 from pinred.kernels.kernel import Kernel
 
 _NUMBERS = {name: ctypes.c_int32() for name in ("tid", "ctaid", "ntid")}  # of the current thread
@@ -211,6 +214,15 @@ store volatile i32 %next.tid, ptr {tid}
 %isleaving = icmp eq i32 %returned, 0
 br i1 %isleaving, label %leave, label %back
 leave:
+%ended.at = getelementptr i64, ptr {at["ended"]}, i32 %next
+%ended = load volatile i64, ptr %ended.at
+%isover = icmp ne i64 %ended, 0
+br i1 %isover, label %fail, label %go
+fail:
+%launch = getelementptr [{_CONTEXT} x i8], ptr {at["contexts"]}, i32 {_WARP}
+%failed = call i32 @setcontext(ptr %launch)
+unreachable
+go:
 %begun.at = getelementptr i64, ptr {at["exchanges"]}, i32 %next
 %begun = load volatile i64, ptr %begun.at
 %isnew = icmp eq i64 %begun, 0

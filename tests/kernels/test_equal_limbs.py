@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
+import pinred
+from pathlib import Path
+from typing import Any
 from ball_trees import random_body
 from host_cuda_driver import host_driver
 from test_device_code import assemble
-from trees import limbed_model, mirrored_model
-
-import pinred
-from pinred.forces.kinds import Damper, Torque
+from trees import limbed_model
+from trees import mirrored_model
+from pinred.forces.kinds import Damper
+from pinred.forces.kinds import Torque
 from pinred.integrators.methods import DOP853
 from pinred.kernels.build import build_kernel
-from pinred.kernels.device import device_code, equal_limbs
-from pinred.kernels.device.cuda_driver import Launch, run_on_devices
-from pinred.kernels.device.equal_limbs import Group, exchange_ir, group_of
-from pinred.kernels.kernel import Kernel, Structure
+from pinred.kernels.device import device_code
+from pinred.kernels.device import equal_limbs
+from pinred.kernels.device.cuda_driver import Launch
+from pinred.kernels.device.cuda_driver import run_on_devices
+from pinred.kernels.device.equal_limbs import Group
+from pinred.kernels.device.equal_limbs import exchange_ir
+from pinred.kernels.device.equal_limbs import group_of
+from pinred.kernels.kernel import Kernel
+from pinred.kernels.kernel import Structure
 from pinred.system.system import System
-
 
 def spider(seed: int = 0, limbs: int = 4, *, balls: bool = False) -> System:
     """Return a body with equal limbs of three hinges and a tail of one.
@@ -242,22 +246,3 @@ def test_random_limbs_agree_with_the_cpu(
     system = System(make("SE3", 4, 2, seed))
     assert _group(system) is not None
     _agree(system, monkeypatch, **_options(system, 3))
-
-
-def test_entry_that_is_not_finite_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All threads of a group end together, also if only one of them has seen the entry."""
-    monkeypatch.setattr(equal_limbs, "SHARE", 1.0)
-    system = spider(2)
-
-    def torque(t: ca.SX, *_: Any) -> Any:
-        return ca.sqrt(0.2 - t)
-
-    options = _options(system) | {"forces": [Torque({"limb2_1": torque})]}
-    cpu = pinred.simulate_many(system, **options)
-    host_driver(monkeypatch)
-    device = pinred.simulate_many(system, device="cuda", **options)
-    assert len(cpu.failures) == 6
-    for found, expected in zip(device.failures, cpu.failures, strict=True):
-        assert "limb2_1" in expected.reason
-        assert found.reason == expected.reason
-        assert found.time == pytest.approx(expected.time, rel=1e-9)
