@@ -12,9 +12,6 @@ from __future__ import annotations
 import ctypes
 import re
 import sys
-import llvmlite.binding as llvm
-import numpy as np
-import pytest
 from collections import OrderedDict
 from collections.abc import Callable
 from enum import IntEnum
@@ -23,16 +20,16 @@ from importlib.util import find_spec
 from itertools import count
 from types import ModuleType
 from typing import Any
-from pinred.common.machine_code import LLVM_LOCK
-from pinred.common.machine_code import NativeCode
-from pinred.common.machine_code import create_machine
-from pinred.common.machine_code import load_object
+
+import llvmlite.binding as llvm
+import numpy as np
+import pytest
+
+from pinred.common.machine_code import LLVM_LOCK, NativeCode, create_machine, load_object
 from pinred.common.memo import once_for_all
 from pinred.integrators.methods.method import Explicit
-from pinred.kernels.device import cuda_driver
-from pinred.kernels.device import device_code
-from pinred.kernels.device.device_code import device_ir
-from pinred.kernels.device.device_code import outputs_ir
+from pinred.kernels.device import cuda_driver, device_code
+from pinred.kernels.device.device_code import device_ir, outputs_ir
 from pinred.kernels.kernel import Kernel
 
 _NUMBERS = {name: ctypes.c_int32() for name in ("tid", "ctaid", "ntid")}  # of the current thread

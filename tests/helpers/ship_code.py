@@ -13,16 +13,16 @@ import lzma
 import os
 import subprocess
 import sys
-import numpy as np
-from collections.abc import Callable
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from shutil import copytree
-from shutil import rmtree
+from shutil import copytree, rmtree
 from tempfile import TemporaryDirectory
 from typing import Any
+
+import numpy as np
+
 from pinred.analysis.phases.gait import Gait
 from pinred.analysis.phases.phase import phase
 from pinred.analysis.stability.linearised_flow import linearised_flow
@@ -30,27 +30,21 @@ from pinred.cli.installation_commands import warm_caches
 from pinred.common.errors import InputError
 from pinred.forces.kinds import Torque
 from pinred.forces.signals.signal import Hold
-from pinred.integrators.methods import DOP853
-from pinred.integrators.methods import METHODS
-from pinred.integrators.methods import Explicit
-from pinred.integrators.methods import Tsit5
+from pinred.integrators.methods import DOP853, METHODS, Explicit, Tsit5
 from pinred.integrators.stepping import shipped_code
-from pinred.integrators.stepping.call_wrapper import ArgumentType
-from pinred.integrators.stepping.call_wrapper import Bitcode
+from pinred.integrators.stepping.call_wrapper import ArgumentType, Bitcode
 from pinred.judge.compare import compare
 from pinred.kernels.device.device_code import loop_arguments
 from pinred.kernels.device.few_rows import stepper_with_few_rows
-from pinred.kernels.kernel import repeat
-from pinred.kernels.kernel import repeat_adjoint
+from pinred.kernels.kernel import repeat, repeat_adjoint
 from pinred.simulation.flow_map.flow import flow
 from pinred.simulation.simulate import simulate
 from pinred.simulation.simulate_many import simulate_many
 from pinred.system.load import load
 from pinred.system.system import System
-from pinred.views.playback.film import SIZE
-from pinred.views.playback.film import Frames
-from pinred.views.playback.view_options import FILM_FPS
-from pinred.views.playback.view_options import View
+from pinred.views.playback.film import SIZE, Frames
+from pinred.views.playback.view_options import FILM_FPS, View
+
 from ..kernels.device.device_code import _bitcode
 
 # The compiler of all shipped bitcode.  Newer versions of LLVM read bitcode of this one, the oldest

@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-import pinred
-from pathlib import Path
-from typing import Any
 from ball_trees import random_body
 from host_cuda_driver import host_driver
 from test_device_code import assemble
-from trees import limbed_model
-from trees import mirrored_model
-from pinred.forces.kinds import Damper
-from pinred.forces.kinds import Torque
+from trees import limbed_model, mirrored_model
+
+import pinred
+from pinred.forces.kinds import Damper, Torque
 from pinred.integrators.methods import DOP853
 from pinred.kernels.build import build_kernel
-from pinred.kernels.device import device_code
-from pinred.kernels.device import equal_limbs
-from pinred.kernels.device.cuda_driver import Launch
-from pinred.kernels.device.cuda_driver import run_on_devices
-from pinred.kernels.device.equal_limbs import Group
-from pinred.kernels.device.equal_limbs import exchange_ir
-from pinred.kernels.device.equal_limbs import group_of
-from pinred.kernels.kernel import Kernel
-from pinred.kernels.kernel import Structure
+from pinred.kernels.device import device_code, equal_limbs
+from pinred.kernels.device.cuda_driver import Launch, run_on_devices
+from pinred.kernels.device.equal_limbs import Group, exchange_ir, group_of
+from pinred.kernels.kernel import Kernel, Structure
 from pinred.system.system import System
+
 
 def spider(seed: int = 0, limbs: int = 4, *, balls: bool = False) -> System:
     """Return a body with equal limbs of three hinges and a tail of one.

@@ -17,60 +17,40 @@ from __future__ import annotations
 import json
 import math
 import re
-import casadi as ca
-import llvmlite.binding as llvm
-import numpy as np
-from collections.abc import Callable
-from collections.abc import Mapping
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import Any
-from numpy.typing import ArrayLike
-from numpy.typing import NDArray
-from ...common.arrays import Array
-from ...common.arrays import read_only
-from ...common.errors import UnsupportedOperationError
-from ...common.errors import install_command
+
+import casadi as ca
+import llvmlite.binding as llvm
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...common.arrays import Array, read_only
+from ...common.errors import UnsupportedOperationError, install_command
 from ...common.machine_code import LLVM_LOCK
-from ...common.memo import once
-from ...common.memo import once_for_all
-from ...common.object_cache import ObjectCache
-from ...common.object_cache import cache_key
+from ...common.memo import once, once_for_all
+from ...common.object_cache import ObjectCache, cache_key
 from ...integrators.integrate import begun_by
-from ...integrators.integrate_many import Solutions
-from ...integrators.integrate_many import checked_batch
-from ...integrators.integrate_many import solutions
+from ...integrators.integrate_many import Solutions, checked_batch, solutions
 from ...integrators.methods.method import Explicit
-from ...integrators.stepping.call_wrapper import COMPILED
-from ...integrators.stepping.call_wrapper import argument_type
-from ...integrators.stepping.run_state import LAYOUT
-from ...integrators.stepping.run_state import NOT_CANONICAL
-from ...integrators.stepping.run_state import new_run
-from ...integrators.stepping.shipped_code import bitcode_of
-from ...integrators.stepping.shipped_code import shipped_name
+from ...integrators.stepping.call_wrapper import COMPILED, argument_type
+from ...integrators.stepping.run_state import LAYOUT, NOT_CANONICAL, new_run
+from ...integrators.stepping.shipped_code import bitcode_of, shipped_name
 from ...integrators.stepping.step_loop import OUTCOME
 from ...reduction.tree.identical_branches import Mark
 from ...system.state_fields import FIELDS
 from ..build import model_bytes
 from ..differentiable import joined_tangent
-from ..kernel import Kernel
-from ..kernel import in_given_order
+from ..kernel import Kernel, in_given_order
 from ..machine.lowering import lower
-from ..machine.sincos import PARTS
-from ..machine.sincos import constant
-from ..machine.sincos import declarations
-from ..machine.sincos import rotated_ir
+from ..machine.sincos import PARTS, constant, declarations, rotated_ir
 from ..reduced_graph import ReducedGraph
-from .cuda_driver import CAPABILITY
-from .cuda_driver import Launch
-from .cuda_driver import opened_devices
-from .cuda_driver import run_on_devices
-from .equal_limbs import Group
-from .equal_limbs import group_of
-from .few_rows import GROUP_CALLS
-from .few_rows import stepper_with_few_rows
+from .cuda_driver import CAPABILITY, Launch, opened_devices, run_on_devices
+from .equal_limbs import Group, group_of
+from .few_rows import GROUP_CALLS, stepper_with_few_rows
 
 _DIGITS = 1225  # number of binary digits of 2/π that the largest angles need
 _WINDOW = 32  # length of a window [bytes]

@@ -15,55 +15,56 @@ up across the group, so that all threads have the same errors, steps and outcome
 
 from __future__ import annotations
 
-import numpy as np
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
-from typing import TypeAlias
+from typing import Any, TypeAlias
+
+import numpy as np
 from llvmlite import ir
+
 from ...common.arrays import Array
 from ...common.memo import once_for_all
-from ...integrators.explicit.row_programs import Rate
-from ...integrators.explicit.row_programs import Sum
-from ...integrators.explicit.row_programs import row_program
-from ...integrators.explicit.runge_kutta import Tableau
-from ...integrators.explicit.runge_kutta import accept_step
-from ...integrators.explicit.runge_kutta import begin_run
-from ...integrators.explicit.runge_kutta import digest
-from ...integrators.explicit.runge_kutta import fill_dense_rows
-from ...integrators.explicit.runge_kutta import next_end_time
-from ...integrators.explicit.step_formulas import SCALAR
-from ...integrators.explicit.step_formulas import add_formulas
-from ...integrators.explicit.step_formulas import dense_value
-from ...integrators.explicit.step_formulas import next_step
+from ...integrators.explicit.row_programs import Rate, Sum, row_program
+from ...integrators.explicit.runge_kutta import (
+    Tableau,
+    accept_step,
+    begin_run,
+    digest,
+    fill_dense_rows,
+    next_end_time,
+)
+from ...integrators.explicit.step_formulas import SCALAR, add_formulas, dense_value, next_step
 from ...integrators.methods.method import Explicit
-from ...integrators.stepping.compiling import Bindings
-from ...integrators.stepping.compiling import bind_globals
-from ...integrators.stepping.compiling import inlined
-from ...integrators.stepping.compiling import make_intrinsic
-from ...integrators.stepping.compiling import numba_core
-from ...integrators.stepping.compiling import unbound
-from ...integrators.stepping.run_state import DENSE
-from ...integrators.stepping.run_state import DONE
-from ...integrators.stepping.run_state import NEW
-from ...integrators.stepping.run_state import STEP
-from ...integrators.stepping.run_state import Run
-from ...integrators.stepping.run_state import Y
-from ...integrators.stepping.run_state import across
-from ...integrators.stepping.run_state import copy_an_end
-from ...integrators.stepping.run_state import first_entries
-from ...integrators.stepping.run_state import first_not_finite
-from ...integrators.stepping.run_state import inverse_length
-from ...integrators.stepping.run_state import padded_rows
-from ...integrators.stepping.run_state import quaternions_of
-from ...integrators.stepping.run_state import reject_step
-from ...integrators.stepping.run_state import unit_alone
-from ...integrators.stepping.step_loop import Hooks
-from ...integrators.stepping.step_loop import Stepper
-from ...integrators.stepping.step_loop import loops
+from ...integrators.stepping.compiling import (
+    Bindings,
+    bind_globals,
+    inlined,
+    make_intrinsic,
+    numba_core,
+    unbound,
+)
+from ...integrators.stepping.run_state import (
+    DENSE,
+    DONE,
+    NEW,
+    STEP,
+    Run,
+    Y,
+    across,
+    copy_an_end,
+    first_entries,
+    first_not_finite,
+    inverse_length,
+    padded_rows,
+    quaternions_of,
+    reject_step,
+    unit_alone,
+)
+from ...integrators.stepping.step_loop import Hooks, Stepper, loops
+
 
 @dataclass(frozen=True)
 class Rows:
