@@ -12,7 +12,7 @@ import site_pages
 from mjcf_constructs import ACTING
 
 import pinred
-from pinred.cli.main import COMMANDS, main
+from pinred.cli.command_line import COMMANDS, main
 from pinred.lie import GROUPS
 from pinred.system.robot_files import bundled_folder, bundled_robots
 

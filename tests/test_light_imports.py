@@ -12,7 +12,7 @@ import pinred
 heavy = {"casadi", "matplotlib", "numba", "pinocchio", "scipy"}
 print(sorted(heavy & set(sys.modules)))
 str(pinred.inspect(pinred.load("falling_cat")))
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 
 sys.stdout, printed = sys.stderr, sys.stdout
 code = main(["inspect", "four_bar"])

@@ -17,7 +17,7 @@ import pytest
 
 import pinred
 from pinred.scene.scene_options import SceneOptions
-from pinred.views.playback.view_options import FILM_FPS, View, ViewOptions
+from pinred.views.playback.colours_and_view_options import FILM_FPS, View, ViewOptions
 from pinred.views.plots import KINDS
 
 ROOT = Path(__file__).parent.parent

@@ -35,7 +35,7 @@ def sweeps_of(text: str) -> list[list[str]]:
 
 def draw(words: list[str]) -> None:
     """Run a command of the gallery in the current folder, with its files in folders of docs."""
-    from pinred.cli.main import main as run
+    from pinred.cli.command_line import main as run
 
     code = run([f"{FOLDERS[s]}/{w}" if (s := Path(w).suffix) in FOLDERS else w for w in words])
     if code:

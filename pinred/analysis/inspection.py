@@ -15,7 +15,7 @@ from ..reduction.cyclic_joints import SymmetricBall, cyclic_of, symmetric_balls
 from ..reduction.pointwise_reduction import PointwiseReduction, ReducedShape, bracket_term
 from ..reduction.poisson_brackets import casimirs
 from ..reduction.potential import broken_by_gravity
-from ..scene.input_formats import actuators_left_out, passive_left_out
+from ..scene.parse_options import actuators_left_out, passive_left_out
 from ..scene.scene import Scene
 from ..simulation.plan import plan_of
 from ..simulation.simulate import skipped

@@ -171,7 +171,7 @@ def _branches(
 def _play(arguments: argparse.Namespace, equilibria: Equilibria) -> int:
     """Simulate one equilibrium, perturbed along a mode, and play or write it.  Returns 0."""
     from ..simulation.simulate import simulate
-    from ..views.playback.view_options import View, default_fps
+    from ..views.playback.colours_and_view_options import View, default_fps
 
     index, count = arguments.play, len(equilibria)
     if not 0 <= index < count:

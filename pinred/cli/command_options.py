@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from ..scene.toml.schema import Key
     from ..system.system import System
     from ..views.motion_source import MotionSource
-    from ..views.playback.view_options import View
+    from ..views.playback.colours_and_view_options import View
 
 T = TypeVar("T")
 
@@ -663,7 +663,7 @@ def show_motion(
     """
     if out is None:
         from ..views.motions import play_view
-        from ..views.playback.view_options import VIEWER
+        from ..views.playback.colours_and_view_options import VIEWER
 
         name = viewer or VIEWER
         play_view(motion, view, viewer=name, port=port, show=show, wait=True)

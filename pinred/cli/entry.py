@@ -26,7 +26,7 @@ def main() -> int:
     """Run the command that the process's arguments name.  Returns its exit code."""
     try:
         from ..common.waiting import INTERRUPTED
-        from .main import main as run
+        from .command_line import main as run
 
         with ends_soon():
             try:

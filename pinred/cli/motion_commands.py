@@ -104,9 +104,9 @@ def run_run(arguments: argparse.Namespace) -> int:
         raise InputError("run needs a scene: the name of a TOML file; see `pinred run --help`")
     from ..scene.initial_state import large_angles
     from ..scene.toml.reader import read_scene_file
-    from ..simulation.over_time import FOLDERS, SUFFIXES
     from ..simulation.plan import plan_of, refuse_with_stops
     from ..simulation.simulate import as_scene, explain_plan, simulate
+    from ..simulation.state_tables_and_files import FOLDERS, SUFFIXES
 
     file = read_scene_file(arguments.scene)
     if file.phases:
@@ -138,9 +138,9 @@ def run_run(arguments: argparse.Namespace) -> int:
 def _run_phases(arguments: argparse.Namespace, file: SceneFile) -> int:
     """Run a file with several phases.  Returns 0, or 1 or 3 if a comparison does not pass."""
     from ..simulation.contact.chain import run_phases
-    from ..simulation.over_time import FOLDERS, SUFFIXES
     from ..simulation.plan import plan_of
     from ..simulation.simulate import explain_plan
+    from ..simulation.state_tables_and_files import FOLDERS, SUFFIXES
 
     for name in ("parameters", "checkpoint"):
         if getattr(arguments, name):
@@ -249,7 +249,7 @@ def _balances(traj: Trajectory) -> list[tuple[str, str]]:
 
 def add_simulate_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    from ..scene.input_formats import EVEN_TIMES
+    from ..scene.parse_options import EVEN_TIMES
     from ..scene.scene_options import RUN_OPTIONS
 
     add_robot(sub)
@@ -263,8 +263,8 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     """Simulate and write.  Returns 0."""
     import numpy as np
 
-    from ..simulation.over_time import FOLDERS, SUFFIXES
     from ..simulation.simulate import simulate
+    from ..simulation.state_tables_and_files import FOLDERS, SUFFIXES
 
     path = check_path(arguments.out, SUFFIXES, folders=FOLDERS)
     scene = scene_of(arguments)

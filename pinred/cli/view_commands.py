@@ -176,7 +176,7 @@ def _motion_of_robot(arguments: argparse.Namespace) -> Trajectory:
 
 def add_play_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    from ..views.playback.view_options import VIEWER, VIEWERS
+    from ..views.playback.colours_and_view_options import VIEWER, VIEWERS
 
     text = "motion traj.npz, scene file (.toml), or a robot, which is shown at rest"
     sub.add_argument("motion", metavar="MOTION", help=text)
@@ -198,7 +198,7 @@ def add_play_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_play(arguments: argparse.Namespace) -> int:
     """Play or write the motion.  Returns 0."""
-    from ..views.playback.view_options import PAGES, View, default_fps
+    from ..views.playback.colours_and_view_options import PAGES, View, default_fps
 
     _check(arguments)
     pair = None if arguments.pair is None else tuple(arguments.pair.split(","))
@@ -242,7 +242,7 @@ def _at_rest(robot: str, meshes: list[str] | None) -> MotionSource:
 
 def _check(arguments: argparse.Namespace) -> None:
     """Raise InputError for an unsupported kind of motion, or for an option without effect."""
-    from ..views.playback.view_options import PAGES
+    from ..views.playback.colours_and_view_options import PAGES
 
     check_robot(arguments.motion, arguments.robot)
     if arguments.out is not None and arguments.port is not None:

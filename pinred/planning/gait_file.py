@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..analysis.connections.connection import Connection
-from ..analysis.connections.connection_physics import Ellipse, Ellipsoid, Rod, Rolling, Wheel
+from ..analysis.connections.drag_fluid_and_wheels import Ellipse, Ellipsoid, Rod, Rolling, Wheel
 from ..analysis.phases.gait import Gait
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector_or_zero

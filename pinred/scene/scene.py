@@ -38,7 +38,7 @@ from ..system.coordinates import InitialState
 from ..system.model_parameters import ModelParameters
 from ..system.robot_file_contents import Keyframe
 from ..system.system import System, checked_system, nominal
-from . import input_formats
+from . import parse_options
 from .event import Event, list_events, watched_of
 from .initial_state import (
     GivenStates,
@@ -51,7 +51,7 @@ from .initial_state import (
     refuse_vague,
     start_of,
 )
-from .input_formats import (
+from .parse_options import (
     GivenParameters,
     acting_passive,
     actuation,
@@ -276,7 +276,7 @@ class Scene(SceneFields):
                 self._keep(name, value)
         if self.rtol < TIGHTEST:
             raise InputError(f"rtol must be at least {TIGHTEST:g}, got {self.rtol:g}")
-        method = input_formats.parse_method(self.method)
+        method = parse_options.parse_method(self.method)
         if method != "auto":
             check_tolerances(method, self.rtol, self.atol)
         self._keep("method", method)
@@ -425,12 +425,12 @@ class Scene(SceneFields):
         self._keep("friction", friction)
         file_forces = acting_passive(self.system, passive=passive, friction=friction)
         prescribed = {
-            name: input_formats.parse_signal(value, f"prescribed['{name}']")
+            name: parse_options.parse_signal(value, f"prescribed['{name}']")
             for name, value in self.prescribed.items()
         }
         self._keep("forces", forces)
         self._keep("prescribed", prescribed)
-        controls = input_formats.parse_controls(self.controls, self.system)
+        controls = parse_options.parse_controls(self.controls, self.system)
         self._keep("controls", controls)
         file_forces = (*file_forces, *actuation(self.system, controls))
         watched = self._check_events()
@@ -540,7 +540,7 @@ class Scene(SceneFields):
             pose = system.group.neutral
         x, xdot, xi = self._initial_shape(), np.zeros(system.m), np.zeros(system.r)
         if self.q0 is not None:
-            configuration = input_formats.parse_configuration(self.q0, system)
+            configuration = parse_options.parse_configuration(self.q0, system)
             pose, x = configuration.pose, configuration.x
         default: Keyframe | InitialState | None = keyframe
         if all(getattr(self, name) is None for name in ("keyframe", "x0", "xdot0", "q0", "v0")):
@@ -549,7 +549,7 @@ class Scene(SceneFields):
         if default is not None:
             x, xdot, xi = default.x, default.xdot, default.xi
         if self.v0 is not None:
-            velocity = input_formats.parse_velocity(self.v0, system)
+            velocity = parse_options.parse_velocity(self.v0, system)
             xi, xdot = velocity.xi, velocity.xdot
         rates: Any = self.xdot0
         if rates is not None:

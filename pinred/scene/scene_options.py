@@ -31,7 +31,7 @@ from ..system.loops.loop import KINDS
 from ..system.system import System
 from .event import EVENT_TABLE, Event
 from .initial_state import DURATION
-from .input_formats import EVEN_TIMES
+from .parse_options import EVEN_TIMES
 from .stop import STOPS, BallStop, Stop
 from .toml.schema import (
     ByName,

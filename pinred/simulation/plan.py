@@ -48,7 +48,7 @@ from ..scene.scene import Scene
 from ..system.coordinates import Indices
 from ..system.system import System, nominal
 from .choose_method import LANES_GAIN, RADAU_GAIN, Choice, choose, radau_gain
-from .step_limits import step_limits
+from .longest_steps import step_limits
 
 _NONE = read_only(np.empty(0))
 # Error of the integrals of functions of time by equal steps that is reported, relative to their

@@ -32,7 +32,7 @@ from ..system.load import is_path
 from ..system.robot_files import bundled_robots
 from ..system.state_fields import FIELDS, Axis, ShapeState, State
 from .impacts import ImpactTable, no_impacts, table_in
-from .over_time import OverTime, lock_in, parameters_in, save
+from .state_tables_and_files import OverTime, lock_in, parameters_in, save
 
 if TYPE_CHECKING:
     from ..system.system import System

@@ -27,7 +27,7 @@ from ..common.waiting import Progress
 from ..forces.switch_times import time_within
 from ..forces.tracking import ComputedTorque, ComputedTorqueAtRest
 from ..reduction.pointwise_reduction import PointwiseReduction, symmetric
-from ..scene.input_formats import list_forces
+from ..scene.parse_options import list_forces
 from ..scene.scene import Scene
 from ..scene.stop import BallBound, Bound, place
 from ..system.coordinates import Indices

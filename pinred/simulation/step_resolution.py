@@ -28,9 +28,9 @@ from ..common.errors import InputError, IntegrationError
 from ..integrators.methods import DOP853, DOP853_LEAST, ErrorControl
 from ..scene.scene import Engine
 from ..system.coordinates import Indices
+from .longest_steps import Limited, StepLimits, step_limits
 from .plan import Plan
 from .reduced_flow import ReducedFlow, Segment
-from .step_limits import Limited, StepLimits, step_limits
 from .trajectory import Cost, Trajectory
 
 _SHOWN = 5  # largest number of times in a notice

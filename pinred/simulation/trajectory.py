@@ -20,13 +20,13 @@ from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, NotCopyable, ShapeError
 from ..common.memo import is_first, once
 from ..common.names import listed
-from ..scene.input_formats import list_forces
+from ..scene.parse_options import list_forces
 from ..scene.scene import Engine, Scene
 from ..system.passive import StatedLimit, limits_of
 from ..system.state_fields import ShapeState, State, arrays_of, map_arrays, torque_unit, with_base
 from ..system.system import nominal
-from .over_time import OverTime, save
 from .plan import Plan, plan_of
+from .state_tables_and_files import OverTime, save
 
 if TYPE_CHECKING:
     from pathlib import Path

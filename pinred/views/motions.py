@@ -11,7 +11,7 @@ from ..common.argument_kinds import checks_arguments, shows_fields
 from ..common.errors import InputError
 from ..system.system import System
 from .motion_source import MotionSource
-from .playback.view_options import FILM_FPS, VIEWER, VIEWERS, View, ViewOptions, as_view
+from .playback.colours_and_view_options import FILM_FPS, VIEWER, VIEWERS, View, ViewOptions, as_view
 from .plots.by_kind import plot as plot
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from lifts import pose_after_cycle
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred
-from pinred.analysis.connections.connection_physics import added_masses
+from pinred.analysis.connections.drag_fluid_and_wheels import added_masses
 from pinred.common.arrays import Array
 
 Gait = pinred.Gait

@@ -12,7 +12,7 @@ from commands import python, refused, run
 from robot_texts import FLOATING, write
 
 import pinred
-from pinred.cli.main import COMMANDS
+from pinred.cli.command_line import COMMANDS
 from pinred.integrators.methods import METHODS
 from pinred.lie import GROUPS
 from pinred.scene.scene_options import ENGINES, OUTPUTS
@@ -346,7 +346,7 @@ def test_import_and_help_do_not_import_heavy_packages() -> None:
     heavy = "{'pinocchio', 'numpy', 'scipy', 'meshcat', 'casadi', 'numba', 'matplotlib'}"
     assert python(f"import sys, pinred; print({heavy} & set(sys.modules))") == "set()\n"
     code = (
-        "import sys\nfrom pinred.cli.main import main\n"
+        "import sys\nfrom pinred.cli.command_line import main\n"
         "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
         f"print({heavy} & set(sys.modules))"
     )

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from pinred.cli import installation_commands
+from pinred.cli.command_line import main
 from pinred.cli.installation_commands import Requirement, examine, read_requirements
-from pinred.cli.main import main
 from pinred.common.errors import __version__
 
 VERSIONS = {"new": "2.10.0", "even": "2.9", "old": "2.8.5", "candidate": "3.0rc1"}

@@ -10,7 +10,7 @@ import pytest
 
 import pinred
 from pinred import plots
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 
 
 def test_equilibria_prints_the_table_of_python(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 
 ROCK = """
 robot = "{name}.urdf"

@@ -16,8 +16,8 @@ import pinred
 from pinred.analysis.connections.connection import Connection
 from pinred.analysis.equilibria.relative_equilibrium import RelativeEquilibrium
 from pinred.cli import main as command_line
+from pinred.cli.command_line import COMMANDS, main
 from pinred.cli.command_options import FORMER
-from pinred.cli.main import COMMANDS, main
 from pinred.integrators.methods import Gauss
 from pinred.laboratory.corpus.run_corpus import corpus
 from pinred.planning.gait_file import GAIT_FILE, OPTIMISE, REORIENT

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = str(ROOT / "examples/gaits/purcell_circle.toml")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pinred.cli.main import COMMANDS, nearest_ascii
+from pinred.cli.command_line import COMMANDS, nearest_ascii
 
 ROOT = Path(__file__).parents[2]
 SCENE = "examples/cat_turns_over.toml"

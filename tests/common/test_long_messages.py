@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.common.errors import shorten_message
 from pinred.forces import Damper
 

@@ -358,7 +358,7 @@ def _on_three_ways(tmp_path: Path, text: str) -> Callable[[str], Array]:
 
 def test_python_scene_file_and_command_line_agree(tmp_path: Path) -> None:
     """The same controls give the same motion in all three places."""
-    from pinred.cli.main import main
+    from pinred.cli.command_line import main
 
     text = mjcf(
         '<motor name="hip motor" joint="hip" gear="3"/><position name="b" joint="slide" kp="2"/>'

@@ -23,8 +23,8 @@ from pinred.forces.signals import signal
 from pinred.judge.full_dynamics import FullDynamics
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Hold, Linear, Spline
+from pinred.simulation.longest_steps import limits_of_runs, step_limits
 from pinred.simulation.members import integrate_members
-from pinred.simulation.step_limits import limits_of_runs, step_limits
 
 CAT = pinred.load("falling_cat")
 DRIVEN, PUSHED = CAT.shape_names[0], CAT.shape_names[2]

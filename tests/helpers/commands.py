@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:

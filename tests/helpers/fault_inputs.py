@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import pinred
-from pinred.cli.main import main as command
+from pinred.cli.command_line import main as command
 from pinred.scene.toml.reader import read_scene_file
 from pinred.simulation.recording import read_recording
 from pinred.system.robot_files import bundled_folder

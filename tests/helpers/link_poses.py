@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from pinred.analysis.connections.connection_physics import link_named
+from pinred.analysis.connections.drag_fluid_and_wheels import link_named
 from pinred.common.arrays import Array
 from pinred.system.system import System
 

@@ -14,7 +14,7 @@ from trees import random_model
 
 import pinred
 from pinred import forces
-from pinred.analysis.connections.connection_physics import centres_of_mass, mechanical_code
+from pinred.analysis.connections.drag_fluid_and_wheels import centres_of_mass, mechanical_code
 from pinred.common.arrays import Array
 from pinred.system.loops.loop import Loop
 from pinred.system.system import System

@@ -42,8 +42,8 @@ from pinred.simulation.simulate import simulate
 from pinred.simulation.simulate_many import simulate_many
 from pinred.system.load import load
 from pinred.system.system import System
+from pinred.views.playback.colours_and_view_options import FILM_FPS, View
 from pinred.views.playback.film import SIZE, Frames
-from pinred.views.playback.view_options import FILM_FPS, View
 
 from ..kernels.device.device_code import _bitcode
 

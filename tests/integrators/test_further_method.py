@@ -25,7 +25,7 @@ PROGRAM = """
 import json
 import numpy as np
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.integrators.methods import METHODS, options_of
 from pinred.laboratory.bench import SOLVERS
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.laboratory.stress.parameter_checks import single
+from pinred.laboratory.stress.extreme_parameters import single
 
 RTOL, TURNED = 1e-8, 100.0
 

@@ -29,7 +29,7 @@ from pinred.judge.step_defects import (
     node_times,
     reference_errors,
 )
-from pinred.laboratory.stress.parameter_checks import single
+from pinred.laboratory.stress.extreme_parameters import single
 
 RTOL, ATOL, END = 1e-9, 1e-11, 0.5
 JUMP = 1e-3

@@ -17,7 +17,7 @@ from loop_robots import five_bar
 from scaled_robots import ROBOTS, Units, evaluate_connection, scaled
 
 import pinred
-from pinred.analysis.connections import connection_physics
+from pinred.analysis.connections import drag_fluid_and_wheels
 from pinred.common.arrays import Array, central_differences
 from pinred.forces import ComputedTorque, Torque, Wrench
 from pinred.forces.force_numbers import random_numbers
@@ -38,7 +38,7 @@ from pinred.system.loops.kinematics import loop_jacobian
 
 MODULES = (
     validation, codes, differentiable, flow_functions, initial_conditions,
-    connection_validation, connection_physics,
+    connection_validation, drag_fluid_and_wheels,
 )  # fmt: skip
 SMALL, LARGE = Units(1e-3, 1e-3, 1e-3), Units(1e3, 1e-3, 1e-3)
 
@@ -304,7 +304,7 @@ def test_two_states_are_compared() -> None:
 
     function._validate_derivative("counted", record)
     assert len(samples) == 2
-    code = connection_physics.mechanical_code(kernel.system)
+    code = drag_fluid_and_wheels.mechanical_code(kernel.system)
     assert len(list(connection_validation.trial_shapes(code.form))) == 2
 
 

@@ -14,7 +14,7 @@ import pytest
 from commands import python
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.common.errors import InputError, LoadError
 from pinred.laboratory.bench import (
     Table,

@@ -15,7 +15,7 @@ import pytest
 from trees import random_model, shuffled
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, IntegrationError, LoadError, install_command
 from pinred.integrators.methods import RKMK4

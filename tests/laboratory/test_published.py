@@ -10,7 +10,7 @@ import published_table
 import pytest
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.laboratory.published import dynamics, locomotion
 from pinred.laboratory.published.row import ROWS, Result, numbers
 

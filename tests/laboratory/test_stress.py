@@ -14,7 +14,7 @@ import pytest
 
 import pinred
 from pinred import RKMK4
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.forces import Damper, Wrench
 from pinred.laboratory.stress.check import (
     CHECKS,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.forces import Controller
 from pinred.lie.group import Group
 from pinred.lie.groups import GROUPS, SE2, SE3, SO2

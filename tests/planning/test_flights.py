@@ -12,7 +12,7 @@ from flight_reference import least_torque
 
 import pinred
 from pinred import InputError
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.common.arrays import Array
 from pinred.lie.rotations import quaternion_exp, quaternion_log, quaternion_product
 

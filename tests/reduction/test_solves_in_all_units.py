@@ -18,7 +18,7 @@ from scaled_robots import Units, scaled, weld
 
 import pinred
 from pinred import poisson
-from pinred.analysis.connections.connection_physics import slip_matrix, slips_of
+from pinred.analysis.connections.drag_fluid_and_wheels import slip_matrix, slips_of
 from pinred.common.arrays import Array
 from pinred.forces.force_model import loop_motion
 from pinred.kernels.connection.connection_form import velocity_graph

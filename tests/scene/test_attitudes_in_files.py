@@ -11,8 +11,8 @@ import pytest
 
 import pinred
 from pinred import InputError
+from pinred.cli.command_line import _parser
 from pinred.cli.command_options import scene_of, shape_in
-from pinred.cli.main import _parser
 from pinred.common.arrays import Array
 from pinred.signals import Attitude, Fourier, Spline
 

@@ -17,11 +17,11 @@ from strategies import Case, cases
 
 import pinred
 from pinred import DOP853, RKMK4, AdaptiveGauss, Gauss, Radau, Tsit5
+from pinred.cli.command_line import _join_negative, _parser
 from pinred.cli.command_options import scene_of
-from pinred.cli.main import _join_negative, _parser
 from pinred.common.arrays import Array
 from pinred.integrators.methods import METHODS, Method
-from pinred.scene import input_formats
+from pinred.scene import parse_options
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Constant, Expression
 from pinred.simulation.plan import plan_of
@@ -275,7 +275,7 @@ METHOD_VALUES = st.sampled_from(
 @given(METHOD_VALUES)
 def test_repr_of_method_parses_to_the_method(method: Method) -> None:
     """The repr of a method is accepted as text."""
-    assert input_formats.parse_method(repr(method)) == method
+    assert parse_options.parse_method(repr(method)) == method
 
 
 @given(
@@ -287,7 +287,7 @@ def test_repr_of_method_parses_to_the_method(method: Method) -> None:
 def test_random_method_text_is_parsed_or_refused(text: str) -> None:
     """No other error than a pinred error occurs."""
     try:
-        found = input_formats.parse_method(text)
+        found = parse_options.parse_method(text)
     except pinred.InputError:
         return
     assert found == "auto" or isinstance(found, Method)
@@ -298,10 +298,10 @@ def test_method_name_alone_suffices_for_step_control(name: str) -> None:
     """Methods with equal steps also need a step."""
     kind: Any = METHODS[name]
     if kind.adaptive:
-        assert input_formats.parse_method(name) == kind()
+        assert parse_options.parse_method(name) == kind()
     else:
-        assert input_formats.parse_method(f"{name}(0.25)") == kind(0.25)
-        assert input_formats.parse_method(f" {name}( step = 0.25 ) ") == kind(step=0.25)
+        assert parse_options.parse_method(f"{name}(0.25)") == kind(0.25)
+        assert parse_options.parse_method(f" {name}( step = 0.25 ) ") == kind(step=0.25)
 
 
 @pytest.mark.parametrize("kind", [DOP853, AdaptiveGauss, Radau, Tsit5])

@@ -11,7 +11,7 @@ import pytest
 
 import pinred
 from pinred import InputError
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 
 SCENE = """robot = "falling_cat"
 start = { x0 = [0.3, 0.4], xi0 = [0.1, 0, 0, 0.2, -0.1, 0.3] }

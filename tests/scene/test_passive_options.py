@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.forces import Damper, Friction
-from pinred.scene.input_formats import passive_left_out
+from pinred.scene.parse_options import passive_left_out
 from pinred.simulation.plan import plan_of
 from pinred.simulation.simulate import explain_plan
 from pinred.system.robot_file_contents import Contents

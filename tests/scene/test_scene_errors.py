@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.common.errors import InputError, LoadError, ModelError, PinredError, ShapeError
 from pinred.planning.gait_file import GAIT_FILE
 from pinred.scene.toml.reader import SCENE, scene_schema

@@ -17,7 +17,7 @@ import pinocchio as pin
 import pytest
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.common.argument_kinds import Default
 from pinred.forces import (
     PD,

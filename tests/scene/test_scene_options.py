@@ -86,7 +86,7 @@ def words_of(path: Path) -> set[str]:
     ("option", "expected"),
     [
         ("keyframe", {"scene_options.py", "scene.py"}),
-        ("q0", {"scene_options.py", "scene.py", "input_formats.py"}),
+        ("q0", {"scene_options.py", "scene.py", "parse_options.py"}),
         ("pose0", {"scene_options.py", "scene.py", "reader.py"}),
     ],
 )

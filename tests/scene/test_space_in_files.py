@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.forces import Torque, Wrench
 
 TEXT = """

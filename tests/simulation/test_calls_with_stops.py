@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 
 TEXT = """robot = "falling_cat"
 [start]

@@ -11,7 +11,7 @@ import pytest
 
 import pinred
 from pinred import Chain, InputError
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 
 REST = (0.0, 0.0, 0.0)
 MISSION = """

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.common.errors import InputError
 from pinred.forces import Command, Controller, Torque
 from pinred.integrators.stepping import run_state
@@ -315,7 +315,7 @@ method = {{ name = "RKMK4", step = 0.0005 }}
 
 PROGRAM = """
 import sys
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.simulation import checkpoint
 checkpoint.INTERVAL = 0.05
 sys.exit(main())

@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 from slides import bouncing_slide, pair_of_slides
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.common.arrays import Array
 from pinred.common.errors import IntegrationError
 from pinred.forces import Torque

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.forces import Damper, Torque, Wrench
 from pinred.system.state_fields import (
     FIELDS,

@@ -11,7 +11,7 @@ import pytest
 
 import pinred
 from pinred import SceneWarning
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.forces import PD, Spring, Torque
 from pinred.simulation import trajectory as limit_excess
 

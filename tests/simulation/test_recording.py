@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 import pinred
 from pinred import plots, read_recording
+from pinred.views.playback.colours_and_view_options import View
 from pinred.views.playback.playback import playback
-from pinred.views.playback.view_options import View
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from loop_robots import five_bar
 from trees import random_model
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.common.arrays import Array
 from pinred.forces import PD, Controller, Torque, Wrench
 from pinred.forces.signals.signal import Expression

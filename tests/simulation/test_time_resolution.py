@@ -22,9 +22,9 @@ from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Hold
 from pinred.simulation import step_limits, step_resolution
 from pinred.simulation.flow_map import flow_run
+from pinred.simulation.longest_steps import StepLimits
 from pinred.simulation.members import integrate_members
 from pinred.simulation.plan import plan_of
-from pinred.simulation.step_limits import StepLimits
 
 CAT = pinred.load("falling_cat")
 CENTRE, WIDTH, RATE = Parameter("centre", 1.0), Parameter("width", 0.01), Parameter("rate", 1.0)

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import quad
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.forces import Wrench
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Fourier

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.sweeps.sweep_outputs import parse_outputs
 
 ARM = """<robot name="arm">

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.scene.scene_options import SWEEP_OPTIONS
 
 TEXT = """

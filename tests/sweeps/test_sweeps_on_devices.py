@@ -11,7 +11,7 @@ import pytest
 from host_cuda_driver import host_driver
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.common.errors import DeviceError, InputError
 from pinred.kernels.device import cuda_driver
 from pinred.sweeps.sweep_result import SweepResult

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.scene.scene import Scene
 from pinred.sweeps import sweep as sweep_module
 from pinred.sweeps.sweep_job import SweepJob

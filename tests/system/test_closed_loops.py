@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, ModelError
 from pinred.system.loops import loop_assembly

@@ -23,8 +23,8 @@ from pinred.lie import GROUPS
 from pinred.scene.scene_options import Engine
 from pinred.system.rebuild import depth_first
 from pinred.system.system import in_gravity
+from pinred.views.playback.colours_and_view_options import View
 from pinred.views.playback.playback import playback
-from pinred.views.playback.view_options import View
 
 
 @given(groups, st.integers(1, 7), seeds)

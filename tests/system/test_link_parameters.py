@@ -13,7 +13,7 @@ import pytest
 
 import pinred
 from pinred import InputError
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.system.body_parameters import body_parameter, link_inertias
 
 ARM = """<robot name="arm">

@@ -11,7 +11,7 @@ import pytest
 
 import pinred
 import pinred.forces
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.common.errors import InputError, LoadError, MissingPackageError
 from pinred.system.loops.loop import Loop, read_loop_file
 from pinred.views.playback.drawn_bodies import drawn_bodies

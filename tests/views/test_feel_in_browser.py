@@ -9,7 +9,7 @@ import pytest
 from headless_browser import Browser
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.common.arrays import Array
 from pinred.system.loops.kinematics import loop_values
 

@@ -23,6 +23,7 @@ from robot_texts import joint, robot
 
 import pinred
 from pinred.common.arrays import Array
+from pinred.views.playback.colours_and_view_options import View
 from pinred.views.playback.film import Frames, find_ffmpeg, write_gif
 from pinred.views.playback.rasteriser import (
     SIDE,
@@ -33,7 +34,6 @@ from pinred.views.playback.rasteriser import (
     draw_picture,
     draw_triangle,
 )
-from pinred.views.playback.view_options import View
 
 Picture = NDArray[np.int16]
 ROOT = Path(__file__).parents[2]

@@ -11,8 +11,8 @@ from robot_texts import joint, link, robot, write
 
 import pinred
 from pinred.views.motion_source import labels_of
+from pinred.views.playback.colours_and_view_options import View
 from pinred.views.playback.playback import playback, shape_panel
-from pinred.views.playback.view_options import View
 
 KINDS = ("base", "curvature", "energy", "error", "momentum", "phase", "poincare", "shape", "sphere")
 

@@ -12,7 +12,7 @@ import pinocchio as pin
 import pytest
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.system.robot_files import has_example_robots
 from pinred.views.playback.drawn_bodies import Bodies, drawn_bodies
 

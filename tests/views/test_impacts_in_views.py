@@ -13,11 +13,11 @@ from headless_browser import Browser
 from test_playback_in_browser import complaints, count_different, picture_at, show
 
 import pinred
+from pinred.views.playback.colours_and_view_options import View
 from pinred.views.playback.drawn_bodies import drawn_bodies
 from pinred.views.playback.film import Frames
 from pinred.views.playback.playback import playback
 from pinred.views.playback.scene_nodes import frame, scene_nodes
-from pinred.views.playback.view_options import View
 
 
 @pytest.fixture(scope="module")

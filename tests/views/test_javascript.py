@@ -16,7 +16,7 @@ from feel_cost import scripts_of
 import pinred
 from pinred.common.arrays import Array
 from pinred.views.feel.feel_page import to_javascript
-from pinred.views.playback.view_options import LOOK
+from pinred.views.playback.colours_and_view_options import LOOK
 
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="node is not installed")

@@ -10,9 +10,9 @@ import pytest
 
 import pinred
 from pinred.common.errors import InputError
+from pinred.views.playback.colours_and_view_options import View
 from pinred.views.playback.page import page
 from pinred.views.playback.playback import playback
-from pinred.views.playback.view_options import View
 
 
 def test_base_of_a_rigid_body_draws_the_polhode() -> None:

@@ -23,11 +23,11 @@ from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 from pinred.lie.rotations import rotation
 from pinred.views.playback import film as films
+from pinred.views.playback.colours_and_view_options import View
 from pinred.views.playback.drawn_bodies import drawn_bodies
 from pinred.views.playback.film import write_frames, write_gif
 from pinred.views.playback.playback import Playback, playback, shape_panel
 from pinred.views.playback.scene_nodes import frame
-from pinred.views.playback.view_options import View
 
 
 def film(name: str, *, ghost: bool = False, fps: float = 60.0, **scene: Any) -> Playback:

@@ -15,9 +15,9 @@ from PIL import Image
 from played_robots import BY_HAND, OTHERS, ROBOTS
 
 import pinred
+from pinred.views.playback.colours_and_view_options import View
 from pinred.views.playback.page import Player
 from pinred.views.playback.playback import playback
-from pinred.views.playback.view_options import View
 
 pytestmark = pytest.mark.browser
 Picture = NDArray[np.int16]

@@ -17,10 +17,10 @@ from commands import refused
 
 import pinred
 from pinred.cli import view_commands
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.views.motions import play_view
+from pinred.views.playback.colours_and_view_options import View
 from pinred.views.playback.page import Player
-from pinred.views.playback.view_options import View
 
 
 def listeners(port: int) -> set[str]:
@@ -129,7 +129,7 @@ def test_ctrl_c_ends_play_command(tmp_path: Path) -> None:
     assert main(["simulate", "elroys_beanie", "--duration", "0.5", "--out", str(path)]) == 0
     # A job that a shell has put in the background ignores Ctrl-C, and so would its children.
     begin = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
-    program = f"{begin}; from pinred.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    program = f"{begin}; from pinred.cli.command_line import main; sys.exit(main(sys.argv[1:]))"
     command = [sys.executable, "-c", program, "play", str(path), "--no-open"]
     with (
         subprocess.Popen(

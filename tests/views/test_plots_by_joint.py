@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import pinred
 from pinred import plots
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.system.passive import joint_limits
 
 ARM = """<robot name="arm">

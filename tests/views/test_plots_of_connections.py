@@ -20,7 +20,7 @@ from pinred.lie.group import Group
 from pinred.lie.groups import SE2, SE3
 from pinred.lie.rotations import left_jacobian
 from pinred.views.motion_source import labels_of
-from pinred.views.playback.view_options import LOOK
+from pinred.views.playback.colours_and_view_options import LOOK
 from pinred.views.plots.connection_field import draw_field, moved_component, plane, refine, title_at
 
 CIRCLE = pinred.Gait.fourier([0.3, 0.2], [[0.5, 0.0]], [[0.0, 0.5]])

@@ -11,7 +11,7 @@ import pytest
 xarray = pytest.importorskip("xarray")
 
 import pinred  # noqa: E402
-from pinred.cli.main import main  # noqa: E402
+from pinred.cli.command_line import main  # noqa: E402
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 from cameras import sees, shape_balls
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.command_line import main
 from pinred.views.playback.rerun_file import ASPECT, FOV
 
 pytest.importorskip("rerun")

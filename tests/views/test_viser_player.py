@@ -16,8 +16,8 @@ from cameras import sees, shape_balls
 from commands import refused
 
 import pinred
-from pinred.cli.main import main
-from pinred.views.playback.view_options import View
+from pinred.cli.command_line import main
+from pinred.views.playback.colours_and_view_options import View
 from pinred.views.playback.viser_player import FOV, ViserPlayer
 
 FPS = 10.0

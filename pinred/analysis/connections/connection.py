@@ -36,7 +36,7 @@ from ...reduction.potential import broken_by_gravity
 from ...reduction.tree.momenta import in_space, root_twist
 from ...system.coordinates import ShapeSpace
 from ...system.system import System, checked_system
-from .connection_physics import (
+from .drag_fluid_and_wheels import (
     Ellipse,
     Ellipsoid,
     Rod,

@@ -17,7 +17,7 @@ from ...kernels.connection.connection_code import Locals
 from ...reduction.pointwise_reduction import Moves, cholesky, usual_inertias
 from ...reduction.potential import Potential
 from ...system.system import System
-from .connection_physics import centres_of_mass, mechanical_code
+from .drag_fluid_and_wheels import centres_of_mass, mechanical_code
 
 # Pivots of the mass matrix below this multiple of n ε times the diagonal entry (ε: machine
 # precision) need the accurate test for singularity.

@@ -36,7 +36,7 @@ from ...simulation.simulate import simulate
 from ...system.load import load
 from ...system.robot_description import Model
 from ...system.system import System
-from ..stress.motion_checks import euler_top
+from ..stress.accuracy_and_conservation import euler_top
 from .row import Numbers, numbers, row
 
 MOMENTS = np.array([1.0, 2.0, 2.5])  # of the bundled robot rigid_body [kg m²]

@@ -11,8 +11,8 @@ from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
 from ...analysis.connections.connection import Connection
-from ...analysis.connections.connection_physics import Ellipse, Ellipsoid, Rod, Wheel
-from ...analysis.connections.mixed import follow_mixed, mixed_connection, simulate_mixed
+from ...analysis.connections.drag_fluid_and_wheels import Ellipse, Ellipsoid, Rod, Wheel
+from ...analysis.connections.mixed_connection import follow_mixed, mixed_connection, simulate_mixed
 from ...analysis.phases.gait import Gait
 from ...analysis.phases.phase import phase
 from ...common.arrays import Array

@@ -6,6 +6,6 @@ energy and momentum. Invariance checks compare motions in other frames, other un
 time. docs/stress.md derives the bounds.
 """
 
-from . import motion_checks as motion_checks
-from . import parameter_checks as parameter_checks
+from . import accuracy_and_conservation as accuracy_and_conservation
+from . import extreme_parameters as extreme_parameters
 from .check import CHECKS as CHECKS

@@ -32,7 +32,7 @@ from ...system.robot_files import bundled_robots
 from ...system.system import System
 from ..event import Event
 from ..initial_state import DURATION
-from ..input_formats import parse_control, parse_controls, parse_method
+from ..parse_options import parse_control, parse_controls, parse_method
 from ..scene import ENGINES, Engine, Scene
 from ..scene_options import LOAD, RUN_OPTIONS, SCENE_OPTIONS, SWEEP, Option, list_conflicts
 from ..stop import parse_stops, stop_of_table

@@ -24,8 +24,8 @@ from ...kernels.kernel import Kernel
 from ...system.coordinates import Indices
 from ..closed_loops import may_pass_singular_shape, refuse_singular_shapes
 from ..compiled.compiled_flow import CompiledFlow
+from ..longest_steps import step_limits
 from ..plan import Plan, Span
-from ..step_limits import step_limits
 from ..step_resolution import (
     Steps,
     describe_unresolved,

@@ -30,7 +30,7 @@ from ...integrators.integrate import Solution
 from ...integrators.stepping.run_state import unit_alone
 from ...kernels.flow_functions import Row
 from ...kernels.kernel import Layout
-from ...scene.input_formats import list_forces
+from ...scene.parse_options import list_forces
 from ...scene.scene import Scene
 from ...scene.stop import BallBound, Bound, changed_stops
 from ...system.model_parameters import joined, plain_value

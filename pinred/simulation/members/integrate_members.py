@@ -21,8 +21,8 @@ from ...kernels.kernel import Kernel
 from ...system.coordinates import Indices
 from ..compiled.compiled_flow import CompiledFlow
 from ..compiled.integrator import wild_steps
+from ..longest_steps import functions_depend_on, limits_of_runs
 from ..plan import Plan, joined_stops
-from ..step_limits import functions_depend_on, limits_of_runs
 from .trajectories import Batch, Failure
 
 # Largest number of kernel instructions for which the state of sixteen lanes fits in registers.

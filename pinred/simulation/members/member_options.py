@@ -33,7 +33,7 @@ from ...common.parameter import Parameter, VectorParameter, by_name, refuse_entr
 from ...forces.force_model import ForceModel
 from ...integrators.methods import Method
 from ...reduction.potential import acting_gravity, falling
-from ...scene import input_formats
+from ...scene import parse_options
 from ...scene.initial_state import GivenStates, order_by_joint, random_state, refuse_vague
 from ...scene.scene import Scene
 from ...scene.stop import (
@@ -546,8 +546,8 @@ class MemberOptions:
             random = [random_state(system, seed) for seed in self.seeds]
             states |= {f"{n}0": np.array([getattr(s, n) for s in random]) for n in _OF_SEED}
         for option, read, fields in (
-            ("q0", input_formats.parse_configuration, _OF_Q),
-            ("v0", input_formats.parse_velocity, _OF_V),
+            ("q0", parse_options.parse_configuration, _OF_Q),
+            ("v0", parse_options.parse_velocity, _OF_V),
         ):
             if option in states:
                 converted = [read(entry, system) for entry in states.pop(option)]

@@ -25,7 +25,6 @@ from ...system.coordinates import Indices
 from ...system.state_fields import FIELDS, ShapeState, State, arrays_of, axis_lengths, map_arrays
 from ...system.system import System, nominal
 from ..impacts import MemberImpacts, impact_arrays, member_table_in
-from ..over_time import OverTime, read_zarr, robot_arrays, write_zarr
 from ..recording import (
     MOST_BYTES,
     ORIGIN,
@@ -35,6 +34,7 @@ from ..recording import (
     read_arrays,
 )
 from ..simulate import trajectory_of
+from ..state_tables_and_files import OverTime, read_zarr, robot_arrays, write_zarr
 from ..trajectory import Cost, Trajectory
 
 if TYPE_CHECKING:

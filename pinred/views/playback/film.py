@@ -31,6 +31,7 @@ from ...common.files import check_path, write_atomic
 from ...common.waiting import Progress, quiet, say, shown
 from ...lie.rotations import rotation
 from ..motion_source import MotionSource
+from .colours_and_view_options import LOOK, View
 from .drawn_bodies import drawn_bodies, face_normals, vertex_normals
 from .playback import ShapePanel, frame_times, playback, shape_panel
 from .rasteriser import (
@@ -54,7 +55,6 @@ from .scene_nodes import (
     interpolate_placements,
     scene_nodes,
 )
-from .view_options import LOOK, View
 
 SIZE = (960, 720)
 MOST_FRAMES, MOST_FPS = 20_000, 120

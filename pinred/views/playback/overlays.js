@@ -1,6 +1,6 @@
 // Overlays of the player: axes of bodies, markers of ball joints, the momentum sphere, gravity.
 "use strict";
-function overlays(THREE, radius, look) { // look: colours and sizes, see Look in view_options.py
+function overlays(THREE, radius, look) { // look: colours and sizes, see Look in colours_and_view_options.py
   const flat = (color) => new THREE.MeshBasicMaterial({ color });
   const rod = (r) => new THREE.CylinderGeometry(r, r, 1, 16).translate(0, 0.5, 0);
   const line = (points, color, opacity) => new THREE.Line(

@@ -35,10 +35,10 @@ from ...common.files import check_path, write_atomic
 from ...common.waiting import Wait, in_notebook
 from ...system.system import System
 from ..motion_source import MotionSource
+from .colours_and_view_options import LOOK, View
 from .drawn_bodies import Bodies, drawn_bodies
 from .playback import Playback, ShapePanel, playback, shape_panel
 from .scene_nodes import frame
-from .view_options import LOOK, View
 
 # The page contains the viewer, so it must contain the viewer's licences.
 _LICENCES = ("viewer/LICENSE", "viewer/dist/main.min.js.THIRD_PARTY_LICENSES.json")

@@ -27,7 +27,7 @@ from ...system.joints import axes_of
 from ...system.state_fields import State
 from ...system.system import System
 from ..motion_source import MotionSource
-from .view_options import View
+from .colours_and_view_options import View
 
 MOST_FRAMES = 100_000
 

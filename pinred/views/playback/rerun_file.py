@@ -18,10 +18,10 @@ from ...common.files import check_path, write_atomic
 from ...common.waiting import Wait
 from ...lie.rotations import rotation
 from ..motion_source import MotionSource
+from .colours_and_view_options import View
 from .drawn_bodies import PALETTE, drawn_bodies, facets, vertex_normals
 from .playback import Playback, playback
 from .scene_nodes import Framing, Node, Part, camera, frame, scene_nodes
-from .view_options import View
 from .viser_player import refuse_pair
 
 FOV = math.radians(55.0)  # vertical field of view of rerun's 3D view

@@ -14,9 +14,9 @@ import pinocchio as pin
 from ...common.arrays import Array, FrozenArrays
 from ...lie.rotations import rotation
 from ...system.urdf_shapes import Mesh
+from .colours_and_view_options import LOOK, ArrowLook
 from .drawn_bodies import Bodies, Colour, Solid, extents, solid_mesh
 from .playback import Playback
-from .view_options import LOOK, ArrowLook
 
 _STILL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # identity placement
 _BEHIND, _ABOVE, _TOP = 1, 2, 3  # order of objects that are drawn over everything else

@@ -20,6 +20,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError, install_command, optional_package
 from ...lie.rotations import rotation
 from ..motion_source import MotionSource
+from .colours_and_view_options import View
 from .drawn_bodies import drawn_bodies
 from .page import HOST, Player, check_port
 from .playback import playback
@@ -33,7 +34,6 @@ from .scene_nodes import (
     interpolate_placements,
     scene_nodes,
 )
-from .view_options import View
 
 FOV = math.radians(45.0)  # vertical field of view
 _UPDATES = 60.0  # largest number of updates of the page per second

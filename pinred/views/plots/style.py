@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from ...common.arrays import Array
-from ..playback.view_options import LOOK
+from ..playback.colours_and_view_options import LOOK
 
 P = ParamSpec("P")
 

@@ -54,7 +54,7 @@ from ...reduction.tree.scalars import solve_spd
 from ...system.system import System, checked_system
 from ..phases.gait import Gait
 from .connection import Connection, refuse_singular
-from .connection_physics import Rolling, Slip, Wheel, slip_matrix, slip_rows, slips_of
+from .drag_fluid_and_wheels import Rolling, Slip, Wheel, slip_matrix, slip_rows, slips_of
 from .rotation_chart import RotationChart
 
 _NAME = "mixed"

@@ -26,8 +26,8 @@ from ...system.load import load
 from ...system.state_fields import State
 from ...system.system import System
 from ..bench.problems import build_tree, chain
+from .accuracy_and_conservation import aba_reference, euler_top
 from .check import DEFECT, EPS, PER_RADIAN, Case, Cases, Trial, check, dop853, tolerance
-from .motion_checks import aba_reference, euler_top
 
 _RTOL = 1e-10
 _MOMENTS = np.array([1.0, 2.0, 2.5])  # of the tops [kg·m²]
