@@ -1,10 +1,10 @@
 """A stand-in for `cuda.bindings.driver`: memory and threads of devices are those of the CPU.
 
-Its modules are LLVM IR instead of PTX.  The IR is compiled for the CPU without changes, except that
-the numbers of a thread and its block come from the stand-in.  Threads run one after another; those of
-a warp that exchange numbers run in turn, each on its own stack, from one exchange to the next.  What
-is put into a stream waits there until the stream is synchronised, so results that are read too
-early, or inputs that change too early, are wrong.
+Its modules are LLVM IR instead of PTX.  The IR is compiled for the CPU without changes, except
+that the numbers of a thread and its block come from the stand-in.  Threads run one after another;
+those of a warp that exchange numbers run in turn, each on its own stack, from one exchange to the
+next.  What is put into a stream waits there until the stream is synchronised, so results that are
+read too early, or inputs that change too early, are wrong.
 """
 
 from __future__ import annotations
@@ -97,8 +97,8 @@ class _Warp:
     """Threads that exchange numbers: contexts of the C library, which continue one another.
 
     A thread stores its number, continues the next thread of the mask, and reads the numbers of
-    others when its turn comes again.  Exchanges of even and odd numbers have different memory, since
-    the threads before it have already stored their next numbers.
+    others when its turn comes again.  Exchanges of even and odd numbers have different memory,
+    since the threads before it have already stored their next numbers.
     """
 
     def __init__(self) -> None:
@@ -137,7 +137,7 @@ class _Warp:
         # The fields after flags: the context that follows; address, flags and size of the stack.
         stack = self.stacks[k] if not self.exchanges[k] else self.stacks[_WARP]
         fields = self.contexts[k, 8:40].view(np.int64)
-        fields[:] = self._context(_WARP).value, stack.ctypes.data, 0, _STACK
+        fields[:] = np.array([self._context(_WARP).value, stack.ctypes.data, 0, _STACK])
         self.library.makecontext(self._context(k), ctypes.c_void_p(address), 0)
 
     def code(self, entry: str, parameters: int) -> str:
@@ -156,7 +156,8 @@ class _Warp:
         }
         tid = f"inttoptr (i64 {ctypes.addressof(_NUMBERS['tid'])} to ptr)"
         loads = "\n".join(
-            f"%p{k} = getelementptr i64, ptr {at['arguments']}, i64 {k}\n%a{k} = load i64, ptr %p{k}"
+            f"%p{k} = getelementptr i64, ptr {at['arguments']}, i64 {k}\n"
+            f"%a{k} = load i64, ptr %p{k}"
             for k in range(parameters)
         )
         kinds = _kinds_of(entry)

@@ -120,7 +120,8 @@ def test_all_threads_of_a_group_get_the_same_bits(
     indices[3] = -1
     code = f"""
 {exchange_ir(threads)}
-define ptx_kernel void @exchange(i64 %N, ptr %numbers, ptr %indices, ptr %sums, ptr %ofs, ptr %firsts) {{
+define ptx_kernel void @exchange(i64 %N, ptr %numbers, ptr %indices, ptr %sums, ptr %ofs,
+                                 ptr %firsts) {{
 %tid = call i32 @llvm.nvvm.read.ptx.sreg.tid.x()
 %block = call i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
 %before = mul i32 %block, 64
@@ -217,7 +218,7 @@ def test_members_with_forces_on_single_limbs_agree_with_the_cpu(
 
     options = _options(system)
     options["members"]["gain"] = np.linspace(0.1, 0.3, 6)
-    forces = [Damper(name, gain) for name in system.space.names]
+    forces: list[Any] = [Damper(name, gain) for name in system.space.names]
     forces.append(Torque({"limb0_2": torque}))
     _agree(system, monkeypatch, forces=forces, **options)
 

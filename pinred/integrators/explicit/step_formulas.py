@@ -67,7 +67,7 @@ def _power(base: float, exponent: float) -> float:
 
 @inlined
 def share(run: Run, i: int, term: Any) -> Any:  # noqa: ARG001
-    """Return the share of this run in a sum over entries of the state: all of the term of entry i."""
+    """Return the share of this run in a sum over the state: all of the term of entry i."""
     return term
 
 

@@ -411,7 +411,7 @@ def _bitcode(advance: Any) -> bytes:
 
 
 def _with_direct_calls(ir: str) -> str:
-    """Call the kernel, and functions of a group, by their names, not by their addresses.
+    """Return the code with calls of the kernel and of a group's functions by name, not by address.
 
     A step loop has no other such calls.
     """

@@ -391,7 +391,8 @@ define internal double @pinred.of(double %x, i32 %thread) alwaysinline nounwind 
 {joined}
 ret double %y
 }}
-define internal double @pinred.add(double %x, i32 %mask, i32 %step) alwaysinline nounwind convergent {{
+define internal double @pinred.add(double %x, i32 %mask, i32 %step)
+    alwaysinline nounwind convergent {{
 {halves}
 %l = call i32 @llvm.nvvm.shfl.sync.bfly.i32(i32 %mask, i32 %low, i32 %step, i32 31)
 %h = call i32 @llvm.nvvm.shfl.sync.bfly.i32(i32 %mask, i32 %high, i32 %step, i32 31)

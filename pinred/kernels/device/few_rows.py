@@ -278,13 +278,13 @@ def _group_call(address: int, number: Any) -> Any:
 
 
 @make_intrinsic
-def sum_of_group(typing: Any, number: Any) -> Any:
+def sum_of_group(typing: Any, number: Any) -> Any:  # noqa: ARG001
     """Return the sum of a float over the threads of a group."""
     return _group_call(_SUM, numba_core.types.float64)
 
 
 @make_intrinsic
-def first_of_group(typing: Any, index: Any) -> Any:
+def first_of_group(typing: Any, index: Any) -> Any:  # noqa: ARG001
     """Return the smallest of the threads' indices, with its thread; −1 if all are negative."""
     return _group_call(_FIRST, numba_core.types.int64)
 
