@@ -34,7 +34,7 @@ from pinred.integrators.methods import DOP853, METHODS, Explicit, Tsit5
 from pinred.integrators.stepping import shipped_code
 from pinred.integrators.stepping.call_wrapper import ArgumentType, Bitcode
 from pinred.judge.compare import compare
-from pinred.kernels.device.device_code import loop_arguments
+from pinred.kernels.device.device_code import bitcode_of_loop, loop_arguments
 from pinred.kernels.device.few_rows import stepper_with_few_rows
 from pinred.kernels.kernel import repeat, repeat_adjoint
 from pinred.simulation.flow_map.flow import flow
@@ -44,8 +44,6 @@ from pinred.system.load import load
 from pinred.system.system import System
 from pinred.views.playback.colours_and_view_options import FILM_FPS, View
 from pinred.views.playback.film import SIZE, Frames
-
-from ..kernels.device.device_code import _bitcode
 
 # The compiler of all shipped bitcode.  Newer versions of LLVM read bitcode of this one, the oldest
 # that pinred supports, but not conversely.
@@ -150,7 +148,7 @@ def _calls(system: System) -> Iterator[Callable[[], Any]]:
             stepper = stepper_with_few_rows(method_class(), tangent=tangent)
             yield partial(stepper.loops.advance, *loop_arguments())
         stepper = stepper_with_few_rows(method_class(), group=True)
-        yield partial(_bitcode, stepper.loops.advance)
+        yield partial(bitcode_of_loop, stepper.loops.advance)
         yield partial(_jacobians, system, method_class.__name__)
     yield partial(_uncommon, system)
     yield partial(_film, system)

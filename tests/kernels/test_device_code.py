@@ -165,11 +165,11 @@ def count_times(
 
 def test_step_loop_without_shipped_bitcode_is_compiled() -> None:
     """The bitcode of a method with coefficients of its own is not in the package."""
-    module = llvm.parse_bitcode(device_code._bitcode(count_times), llvm.create_context())
+    module = llvm.parse_bitcode(device_code.bitcode_of_loop(count_times), llvm.create_context())
     result, error, *arguments = module.get_function(COMPILED).arguments
     assert str(result.type) == str(error.type) == "ptr"
     shipped = llvm.parse_bitcode(
-        device_code._bitcode(stepper_with_few_rows(DOP853()).loops.advance), llvm.create_context()
+        device_code.bitcode_of_loop(stepper_with_few_rows(DOP853()).loops.advance), llvm.create_context()
     )
     expected = list(shipped.get_function(COMPILED).arguments)[2:]
     assert [str(a.type) for a in arguments] == [str(a.type) for a in expected]

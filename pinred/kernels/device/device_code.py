@@ -257,7 +257,7 @@ def device_ir(kernel: Kernel, method: Explicit, *, tangent: bool = False) -> str
         field, rows = lower(rate, "rate", marks, fma=True), stepper.work(n).shape
     texts = [field, _entry(n, parameters, rows, group)]
     user = f"{method.name} or the forces"
-    return _linked_ir(kernel, user, texts, ENTRY, _bitcode(stepper.loops.advance))
+    return _linked_ir(kernel, user, texts, ENTRY, bitcode_of_loop(stepper.loops.advance))
 
 
 def outputs_ir(kernel: Kernel, names: Sequence[str]) -> str:
@@ -403,7 +403,7 @@ def loop_arguments() -> tuple[Any, ...]:
 
 
 @once_for_all
-def _bitcode(advance: Any) -> bytes:
+def bitcode_of_loop(advance: Any) -> bytes:
     """Return the bitcode of a step loop: what is shipped, or else what numba compiles."""
     types = tuple(kind for kind in map(argument_type, loop_arguments()) if kind is not None)
     name = shipped_name(advance.py_func, types, advance.stamp)
