@@ -169,7 +169,8 @@ def test_step_loop_without_shipped_bitcode_is_compiled() -> None:
     result, error, *arguments = module.get_function(COMPILED).arguments
     assert str(result.type) == str(error.type) == "ptr"
     shipped = llvm.parse_bitcode(
-        device_code.bitcode_of_loop(stepper_with_few_rows(DOP853()).loops.advance), llvm.create_context()
+        device_code.bitcode_of_loop(stepper_with_few_rows(DOP853()).loops.advance),
+        llvm.create_context(),
     )
     expected = list(shipped.get_function(COMPILED).arguments)[2:]
     assert [str(a.type) for a in arguments] == [str(a.type) for a in expected]
