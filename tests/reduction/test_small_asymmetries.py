@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
 from trees import random_model
 
 import pinred
+from pinred.common.arrays import Array
 from pinred.reduction import potential
 from pinred.reduction.cyclic_joints import cyclic_joints
 from pinred.reduction.pointwise_reduction import PointwiseReduction as Reduction
@@ -159,8 +162,13 @@ def test_cyclic_joints_stop_sampling_once_every_joint_has_an_effect(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Further shapes cannot change the answer, and take seconds for hundreds of joints."""
-    red, shapes = Reduction(pinred.load("planar_chain5")), []
-    at = Reduction.at
-    monkeypatch.setattr(Reduction, "at", lambda self, x: shapes.append(x) or at(self, x))
+    red, at = Reduction(pinred.load("planar_chain5")), Reduction.at
+    shapes: list[Array] = []
+
+    def record_shape(reduction: Reduction, x: Array) -> Any:
+        shapes.append(x)
+        return at(reduction, x)
+
+    monkeypatch.setattr(Reduction, "at", record_shape)
     assert cyclic_joints(red) == ()
     assert len(shapes) == 1

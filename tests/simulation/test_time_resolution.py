@@ -20,7 +20,7 @@ from pinred.common.arrays import Array
 from pinred.forces import Torque, time_functions
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Hold
-from pinred.simulation import step_limits, step_resolution
+from pinred.simulation import longest_steps, step_resolution
 from pinred.simulation.flow_map import flow_run
 from pinred.simulation.longest_steps import StepLimits
 from pinred.simulation.members import integrate_members
@@ -50,7 +50,7 @@ def stopped(centre: float, width: float) -> Torque:
     return Torque({"bend": Hold([0.0, *times.tolist()], [0.0] * 14)})
 
 
-UNLIMITED = step_limits.Limited(np.inf, np.empty(0))
+UNLIMITED = longest_steps.Limited(np.inf, np.empty(0))
 
 
 def never_limit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,7 +151,7 @@ def test_functions_that_stay_unresolved_are_reported(monkeypatch: pytest.MonkeyP
     """If the search for panels ends early, `simulate` and flows warn with the times."""
     scenes = scene(Torque(bump), parameters={"centre": 1.0, "width": 1.1e-4})
     assert pinred.simulate(scenes).run.notices == ()
-    monkeypatch.setattr(step_limits, "_MOST", 64)
+    monkeypatch.setattr(longest_steps, "_MOST", 64)
     scenes = replace(scenes, parameters={"centre": 1.0, "width": 1.2e-4})
     with pytest.warns(pinred.AccuracyWarning, match=r"changes faster than the steps near t = 0.9"):
         traj = pinred.simulate(scenes)
@@ -237,7 +237,7 @@ def limits_of(function: Any, end: float = 2.0, rtol: float = 1e-10, order: int =
     """Return the limits for a torque that is a function of time."""
     forces = scene(Torque(lambda s: {"bend": function(s.t)}), times=[end]).force_model
     assert forces is not None
-    return step_limits.step_limits(forces, end, forces.numbers, rtol, order)
+    return longest_steps.step_limits(forces, end, forces.numbers, rtol, order)
 
 
 @pytest.mark.parametrize(("rate", "rtol"), [(30.0, 1e-10), (400.0, 1e-10), (400.0, 1e-5)])
@@ -274,7 +274,7 @@ def test_limits_find_a_needle_between_all_samples(monkeypatch: pytest.MonkeyPatc
     at = int(np.searchsorted(limits.ends, 1.2345678))
     assert 1e-7 < limits.longest[at] < 1e-5
     assert len(limits.ends) < 100
-    monkeypatch.setattr(step_limits, "_LOOK", 0)
+    monkeypatch.setattr(longest_steps, "_LOOK", 0)
     assert limits_of(lambda t: 1.0 * needle(t), end=2.0000001).longest.min() > 1e-3
 
 
@@ -313,7 +313,7 @@ def test_limits_find_a_needle_that_is_no_term(name: str, monkeypatch: pytest.Mon
     function, loose = HIDDEN[name]
     limits = limits_of(lambda t: ca.sqrt(function(t)))
     assert limits.longest[np.searchsorted(limits.ends, 1.2359)] < 1e-3
-    monkeypatch.setattr(step_limits, name, loose)
+    monkeypatch.setattr(longest_steps, name, loose)
     limits = limits_of(lambda t: ca.sqrt(function(t)), end=2.0000001)
     assert limits.longest[np.searchsorted(limits.ends, 1.2359)] > 0.02
 
@@ -341,7 +341,7 @@ def test_limits_stop_at_round_off(monkeypatch: pytest.MonkeyPatch) -> None:
     limits = limits_of(function, end=1000.0, rtol=1e-17)
     assert limits.unresolved.size == 0
     assert len(limits.ends) < 24_000
-    monkeypatch.setattr(step_limits, "_ROUND_OFF", 0.0)
+    monkeypatch.setattr(longest_steps, "_ROUND_OFF", 0.0)
     assert len(limits_of(function, end=1000.0001, rtol=1e-17).ends) > 40_000
 
 
@@ -424,7 +424,7 @@ def test_steps_are_limited_in_all_runs(
     traj = pinred.simulate(scene(small, method="auto"), **options)
     forces = traj.plan.forces
     assert forces is not None
-    limits = step_limits.step_limits(forces, 2.0, forces.numbers, 1e-7, 8)
+    limits = longest_steps.step_limits(forces, 2.0, forces.numbers, 1e-7, 8)
     knots = traj.motion.segments.knots
     assert (np.diff(knots) <= limits.within(knots[:-1], knots[1:]) * (1.0 + 1e-9)).all()
     never_limit(monkeypatch)
