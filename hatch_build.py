@@ -36,7 +36,7 @@ class ReadmeHook(MetadataHookInterface):
     def update(self, metadata: dict[str, Any]) -> None:
         """Set the README from README.md and the address under `[project.urls]`."""
         text = (Path(self.root) / "README.md").read_text("utf-8")
-        source = (Path(self.root) / "pinred/common/installation.py").read_text("utf-8")
+        source = (Path(self.root) / "pinred/common/errors.py").read_text("utf-8")
         (version,) = re.findall(r'^__version__ = "(.+)"$', source, re.MULTILINE)
         repository = metadata.get("urls", {}).get("Repository", "")
         metadata["readme"] = {

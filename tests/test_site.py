@@ -20,7 +20,7 @@ from site_pages_in_browser import broken_links, faults_in_browser
 
 import pinred
 from pinred import plots
-from pinred.cli import main
+from pinred.cli import command_line
 from pinred.system.robot_files import has_example_robots
 
 pytest.importorskip("myst_parser")
@@ -141,7 +141,7 @@ def test_commands_of_page_are_accepted(path: Path) -> None:
     """Commands and options in console blocks exist; by-hand tests run those of the gallery."""
     for command in site_pages.console_commands(path.read_text("utf-8")):
         words = command.partition(" && ")[0].split()
-        main._parser(words).parse_args(main._join_negative(words))
+        command_line._parser(words).parse_args(command_line._join_negative(words))
 
 
 def test_start_lists_every_extra() -> None:

@@ -6,7 +6,7 @@ import argparse
 
 from docstring_markdown import code, escape, table
 
-from pinred.cli import main as command_line
+from pinred.cli import command_line
 
 
 def pages() -> dict[str, str]:

@@ -12,7 +12,7 @@ from lifts import random_gait
 from scipy.integrate import solve_ivp
 
 import pinred
-from pinred.analysis.connections import mixed
+from pinred.analysis.connections import mixed_connection
 from pinred.common.arrays import Array
 from pinred.kernels.kernel import evaluate
 
@@ -188,7 +188,7 @@ def test_bounds_of_mixed_equations_are_relative_to_values(monkeypatch: pytest.Mo
         assert np.abs(found - expected).max() <= 1e-3 * tolerance * size
         seen.append(what)
 
-    monkeypatch.setattr(mixed, "require_agreement", record)
+    monkeypatch.setattr(mixed_connection, "require_agreement", record)
     A = board()
     _ = A.equations, A.driven
     assert seen == [*LIMITS] * 2 + [*LIMITS][:2] * 2
@@ -214,7 +214,7 @@ def test_faults_of_mixed_equations_are_found(
         values[:, first:last] *= 1.0 + fault
         return values
 
-    monkeypatch.setattr(mixed, "evaluate", faulty)
+    monkeypatch.setattr(mixed_connection, "evaluate", faulty)
     A = board()
     for name in ("equations", "driven")[: 2 if last < 6 else 1]:
         with pytest.raises(pinred.KernelMismatch, match=f"disagrees with Pinocchio: {what} is"):

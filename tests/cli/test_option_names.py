@@ -15,7 +15,7 @@ import pytest
 import pinred
 from pinred.analysis.connections.connection import Connection
 from pinred.analysis.equilibria.relative_equilibrium import RelativeEquilibrium
-from pinred.cli import main as command_line
+from pinred.cli import command_line
 from pinred.cli.command_line import COMMANDS, main
 from pinred.cli.command_options import FORMER
 from pinred.integrators.methods import Gauss

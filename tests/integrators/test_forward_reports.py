@@ -11,7 +11,7 @@ from scipy.linalg import expm
 import pinred
 from pinred.common.arrays import Array
 from pinred.integrators.explicit import run_sensitivities as module
-from pinred.integrators.stepping import state_rows
+from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.intrinsics import SEEDS
 
 
@@ -27,7 +27,7 @@ def test_states_and_tangents_inside_steps_are_those_of_the_exponential(
     def slopes(_address: int, _y: Array, _params: Array, v: Array, _p: Array, out: Array) -> None:
         out[:] = (M @ v.reshape(2, SEEDS)).ravel()
 
-    for place in (module, state_rows):
+    for place in (module, run_state):
         for name, function in vars(place).copy().items():
             if hasattr(function, "py_func"):
                 monkeypatch.setattr(place, name, function.py_func)

@@ -220,9 +220,11 @@ def test_wrong_derivative_is_rejected(
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
     right = native.compile_object
 
-    def wrong(function: Any, name: str, **options: Any) -> bytes:
+    def wrong(function: Any, name: str, *args: Any, **options: Any) -> bytes:
         import casadi as ca
 
+        if name != "tangent":
+            return right(function, name, *args, **options)
         y, p, v = (ca.SX.sym(s, function.size1_in(k)) for k, s in enumerate("ypv"))
         value = function(y, p, v)
         value *= 1.00001

@@ -30,7 +30,7 @@ from pinred.integrators.methods import (
 )
 from pinred.integrators.methods.method import ErrorControl
 from pinred.integrators.run_derivatives import SmoothField, run_along, run_back
-from pinred.integrators.stepping import state_rows
+from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.intrinsics import SEEDS
 from pinred.integrators.stepping.run_state import (
     TURN,
@@ -275,10 +275,10 @@ def test_angle_errors_of_symmetric_tops_follow_tolerance(
 
 def test_row_operations_treat_each_quaternion(monkeypatch: pytest.MonkeyPatch) -> None:
     """Positions, error scales, and normalisation with rates; the other entries do not change."""
-    for name, function in vars(state_rows).copy().items():
+    for name, function in vars(run_state).copy().items():
         if hasattr(function, "py_func"):  # Python runs it
-            monkeypatch.setattr(state_rows, name, function.py_func)
-    in_quaternion, entry_size = state_rows.in_quaternion, state_rows.entry_size
+            monkeypatch.setattr(run_state, name, function.py_func)
+    in_quaternion, entry_size = run_state.in_quaternion, run_state.entry_size
     y, rates = np.arange(1.0, 12.0), np.linspace(2.0, 3.0, 11)
     where: Quaternions = (2, 2)
     inside = [in_quaternion(i, where) for i in range(11)]
@@ -290,8 +290,8 @@ def test_row_operations_treat_each_quaternion(monkeypatch: pytest.MonkeyPatch) -
     for k in (2, 6):
         factors[k : k + 4] = 1.0 / np.linalg.norm(y[k : k + 4])
     alone, both, scaled = y.copy(), y.copy(), rates.copy()
-    state_rows.unit_alone(alone, where)
-    state_rows.unit(both, scaled, where)
+    run_state.unit_alone(alone, where)
+    run_state.unit(both, scaled, where)
     np.testing.assert_allclose(alone, expected * factors, rtol=1e-15)
     np.testing.assert_array_equal(both, alone)
     np.testing.assert_allclose(scaled, rates * factors, rtol=1e-15)

@@ -138,8 +138,8 @@ def solve_briefly(robot: str) -> tuple[Problem, FullMotion]:
     return problem, reference_of(problem).end
 
 
-# The full equations run by default.
-@pytest.mark.by_hand("cvodes-reduced")
+# The compiler needs half a minute for the code of CVODES.
+@pytest.mark.by_hand("cvodes", "cvodes-reduced")
 @pytest.mark.parametrize("method", SOLVERS, ids=lambda method: method.name)
 def test_methods_converge_to_reference(method: Solver) -> None:
     """In every group, errors decrease with the order or with the tolerance."""
