@@ -24,7 +24,7 @@ from .analysis.connections.shape_field import ShapeField as ShapeField
 from .analysis.equilibria.branches import Branches as Branches
 from .analysis.equilibria.branches import BranchPoint as BranchPoint
 from .analysis.equilibria.branches import branches as branches
-from .analysis.equilibria.find import relative_equilibria as relative_equilibria
+from .analysis.equilibria.find_equilibria import relative_equilibria as relative_equilibria
 from .analysis.equilibria.relative_equilibrium import Census as Census
 from .analysis.equilibria.relative_equilibrium import Equilibria as Equilibria
 from .analysis.equilibria.relative_equilibrium import RelativeEquilibrium as RelativeEquilibrium
@@ -132,8 +132,8 @@ from .simulation.members.trajectories import Failure as Failure
 from .simulation.members.trajectories import RecordedMembers as RecordedMembers
 from .simulation.members.trajectories import Trajectories as Trajectories
 from .simulation.members.trajectories import read_members as read_members
-from .simulation.recording import Recording as Recording
-from .simulation.recording import read_recording as read_recording
+from .simulation.read_recording import Recording as Recording
+from .simulation.read_recording import read_recording as read_recording
 from .simulation.simulate import simulate as simulate
 from .simulation.simulate_many import simulate_many as simulate_many
 from .simulation.trajectory import Trajectory as Trajectory

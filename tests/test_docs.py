@@ -14,7 +14,7 @@ from mjcf_constructs import ACTING
 import pinred
 from pinred.cli.command_line import COMMANDS, main
 from pinred.lie import GROUPS
-from pinred.system.robot_files import bundled_folder, bundled_robots
+from pinred.system.find_robot_files import bundled_folder, bundled_robots
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -12,7 +12,7 @@ import robot_texts
 import site_pages
 
 import pinred
-from pinred.system.robot_files import bundled_folder, has_example_robots
+from pinred.system.find_robot_files import bundled_folder, has_example_robots
 
 pytest.importorskip("mujoco")
 _VALUE = re.compile(r"([-\w.,\[\]() ]+?)  # (\('.*?\)\)|\(\d+, \d+\)|'.*?').*")

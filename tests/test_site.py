@@ -21,7 +21,7 @@ from site_pages_in_browser import broken_links, faults_in_browser
 import pinred
 from pinred import plots
 from pinred.cli import command_line
-from pinred.system.robot_files import has_example_robots
+from pinred.system.find_robot_files import has_example_robots
 
 pytest.importorskip("myst_parser")
 pytest.importorskip("furo")

@@ -23,7 +23,7 @@ from scipy.interpolate import CubicSpline
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.system.robot_files import has_example_robots
+from pinred.system.find_robot_files import has_example_robots
 
 pytestmark = pytest.mark.slow
 

@@ -61,7 +61,7 @@ def add_robots_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run_robots(arguments: argparse.Namespace) -> int:
     """Print the names of the robots.  Returns 0."""
-    from ..system.robot_files import INSTALL_ROBOTS, bundled_robots, example_robots
+    from ..system.find_robot_files import INSTALL_ROBOTS, bundled_robots, example_robots
 
     bundled = bundled_robots()
     width = max(map(len, bundled))
@@ -139,7 +139,7 @@ def run_equilibria(arguments: argparse.Namespace) -> int:
         options["limit"] = arguments.limit
     if len(momenta) == 2:
         return _branches(arguments, system, (momenta[0], momenta[1]), options)
-    from ..analysis.equilibria.find import relative_equilibria
+    from ..analysis.equilibria.find_equilibria import relative_equilibria
 
     equilibria = relative_equilibria(system, momentum=momenta[0], **options)
     for note in {equilibrium.problem.scene.left_out for equilibrium in equilibria} - {""}:

@@ -633,7 +633,7 @@ def motion_in(path: str, robot: str | None) -> MotionSource:
     """
     check_robot(path, robot)
     if Path(path).suffix == ".npz":
-        from ..simulation.recording import read_recording
+        from ..simulation.read_recording import read_recording
 
         return read_recording(path, robot)
     from ..scene.toml.reader import read_scene_file

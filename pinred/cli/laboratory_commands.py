@@ -15,7 +15,7 @@ from ..common.waiting import Wait
 from .command_options import add_options, option_adder, out_path
 
 if TYPE_CHECKING:
-    from ..laboratory.bench.work_precision import WorkPrecision
+    from ..laboratory.bench.accuracy_record import WorkPrecision
     from ..laboratory.corpus.trial import Entry
     from ..laboratory.stress.check import Check
 
@@ -116,8 +116,8 @@ def _run_accuracy(arguments: argparse.Namespace, folder: Path | None) -> int:
         continue_accuracy,
         solvers_named,
     )
+    from ..laboratory.bench.accuracy_record import NAME
     from ..laboratory.bench.problems import SCENES, problems_named
-    from ..laboratory.bench.work_precision import NAME
 
     if arguments.list:
         print("scenes:", ", ".join(SCENES))

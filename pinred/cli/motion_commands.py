@@ -105,8 +105,8 @@ def run_run(arguments: argparse.Namespace) -> int:
     from ..scene.initial_state import large_angles
     from ..scene.toml.reader import read_scene_file
     from ..simulation.plan import plan_of, refuse_with_stops
+    from ..simulation.saved_states import FOLDERS, SUFFIXES
     from ..simulation.simulate import as_scene, explain_plan, simulate
-    from ..simulation.state_tables_and_files import FOLDERS, SUFFIXES
 
     file = read_scene_file(arguments.scene)
     if file.phases:
@@ -139,8 +139,8 @@ def _run_phases(arguments: argparse.Namespace, file: SceneFile) -> int:
     """Run a file with several phases.  Returns 0, or 1 or 3 if a comparison does not pass."""
     from ..simulation.contact.chain import run_phases
     from ..simulation.plan import plan_of
+    from ..simulation.saved_states import FOLDERS, SUFFIXES
     from ..simulation.simulate import explain_plan
-    from ..simulation.state_tables_and_files import FOLDERS, SUFFIXES
 
     for name in ("parameters", "checkpoint"):
         if getattr(arguments, name):
@@ -263,8 +263,8 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     """Simulate and write.  Returns 0."""
     import numpy as np
 
+    from ..simulation.saved_states import FOLDERS, SUFFIXES
     from ..simulation.simulate import simulate
-    from ..simulation.state_tables_and_files import FOLDERS, SUFFIXES
 
     path = check_path(arguments.out, SUFFIXES, folders=FOLDERS)
     scene = scene_of(arguments)

@@ -138,7 +138,7 @@ def _source(arguments: argparse.Namespace, kinds: list[str]) -> Any:
         return _motion_of_robot(arguments)
     refuse_of_robots(arguments, source, "duration", "seed", "group", "root", "parameters")
     if suffix == ".csv":
-        from ..laboratory.bench.work_precision import read_record
+        from ..laboratory.bench.accuracy_record import read_record
 
         return read_record(Path(source))
     return motion_in(source, arguments.robot)

@@ -29,7 +29,7 @@ from ..system.model_parameters import joined
 from ..system.system import System, checked_system, nominal
 from .compiled.code_ahead import expect_integration
 from .plan import Plan, plan_of, refuse_with_stops
-from .robot_columns import without_own
+from .robot_parameters import without_own
 from .trajectory import Trajectory, excess_notice, run_plan
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from ..system.passive import StatedLimit, limits_of
 from ..system.state_fields import ShapeState, State, arrays_of, map_arrays, torque_unit, with_base
 from ..system.system import nominal
 from .plan import Plan, plan_of
-from .state_tables_and_files import OverTime, save
+from .saved_states import OverTime, save
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -20,11 +20,11 @@ from ..common.errors import InputError, UnsupportedOperationError
 from ..common.names import listed, nearest, quoted
 from ..lie.rotations import apply, conjugate, rotation
 from .body_parameters import link_inertias, moments_of
+from .copy_model import RATE_LIMITS, ModelBuilder
 from .force_interface import Force
 from .joints import axes_of, is_ball, root_joint
 from .loops.kinematics import find_frame
 from .loops.loop import Constraint, Loop
-from .rebuild import RATE_LIMITS, ModelBuilder
 from .robot_file_contents import Actuator, Contents, Coupling, Derivation, LeftOut, Origin
 from .system import System
 

@@ -26,8 +26,8 @@ from ..lie.rotations import (
     left_jacobian,
     unwrapped_rotation_vectors,
 )
+from .copy_model import rebuild
 from .joints import ElementaryJoint, elementary_joint
-from .rebuild import rebuild
 
 _UNIT = 1e-3  # largest deviation of a quaternion's norm from 1, for values of few decimals
 

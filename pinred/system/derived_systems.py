@@ -40,8 +40,8 @@ from .assembly import (
     twists_of,
 )
 from .coordinates import PlacedJoint
+from .copy_model import PRISMATIC, REVOLUTE, joint_along
 from .joints import axes_of, is_ball, is_prismatic, root_joint
-from .rebuild import PRISMATIC, REVOLUTE, joint_along
 from .robot_file_contents import Derivation
 from .system import System
 

@@ -27,12 +27,12 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import LoadError, optional_package
 from ..common.names import listed, plain_path, quoted
+from .copy_model import NewJoint, rebuild
+from .find_robot_files import outermost, read_text
 from .joints import axes_of, joint_kind
 from .passive import UNLIMITED
 from .read_sdf import INSTALL, SdfRobot, drake_warnings, read_sdf
 from .read_urdf import read_urdf, with_other_joints
-from .rebuild import NewJoint, rebuild
-from .robot_files import outermost, read_text
 from .sdf_document import read_document
 
 _SAME = 1e-9  # largest difference of equal numbers, relative to the largest of their kind

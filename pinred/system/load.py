@@ -31,7 +31,24 @@ from ..lie.group import Group
 from ..lie.groups import GROUPS, SE3, group_named
 from .body_parameters import link_inertias
 from .coordinates import InitialState
+from .copy_model import rebuild, split_joints, with_joint_types, without_mimics
 from .coupling import ties_of, with_followers
+from .find_robot_files import (
+    INSTALL_ROBOTS,
+    Visuals,
+    bundled_robots,
+    example_robot,
+    example_robots,
+    is_mjcf,
+    is_mujoco,
+    lines_in_messages,
+    mesh_folders,
+    outermost,
+    read_text,
+    read_xml,
+    text_in_file,
+    with_visuals,
+)
 from .independent_reader import second_reading
 from .joints import (
     RootChain,
@@ -66,25 +83,8 @@ from .model_parameters import with_parameters
 from .passive import passive_contents, stated_limits
 from .read_sdf import read_sdf
 from .read_urdf import FileRobot, read_urdf
-from .rebuild import rebuild, split_joints, with_joint_types, without_mimics
 from .robot_description import Model
 from .robot_file_contents import Contents, Origin
-from .robot_files import (
-    INSTALL_ROBOTS,
-    Visuals,
-    bundled_robots,
-    example_robot,
-    example_robots,
-    is_mjcf,
-    is_mujoco,
-    lines_in_messages,
-    mesh_folders,
-    outermost,
-    read_text,
-    read_xml,
-    text_in_file,
-    with_visuals,
-)
 from .system import System, checked_gravity
 from .urdf_elements import mimic_couplings
 from .urdf_words import left_out_words

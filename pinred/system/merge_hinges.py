@@ -13,12 +13,12 @@ from ..common.errors import InputError, ModelError
 from ..common.names import brief, listed, quoted
 from ..common.parameter import Parameter, value_of
 from .coordinates import InitialState
+from .copy_model import NewJoint, rebuild
 from .force_interface import Force
 from .hinge_triples import HingeTriple, hinge_triples
 from .joints import root_chain
 from .locked_joints import LockValue, lock_attitude
 from .passive import MERGED, Damper, Friction, JointForce, Spring
-from .rebuild import NewJoint, rebuild
 from .robot_file_contents import Coupling, LeftOut
 
 LIMITS = "limits of merged hinges"  # kind of actions that are not simulated (LeftOut.what)

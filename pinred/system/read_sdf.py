@@ -29,10 +29,10 @@ from ..common.errors import (
     optional_package,
 )
 from ..common.names import listed, nearest, plain_path, quoted
+from .copy_model import PRISMATIC, REVOLUTE, ModelBuilder, joint_along
 from .loops.loop import Loop
 from .passive import Spring
 from .read_urdf import FileRobot
-from .rebuild import PRISMATIC, REVOLUTE, ModelBuilder, joint_along
 from .robot_file_contents import Coupling, LeftOut
 from .sdf_document import Axis, BallConstraint, JointWords, SdfDocument, read_document, unread_type
 from .sdf_words import CONTACT

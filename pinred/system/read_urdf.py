@@ -33,11 +33,11 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import LoadError, ModelError
 from ..common.names import listed, nearest, plain, plain_path, quoted
+from .copy_model import NewJoint, copy_losses, rebuild
+from .find_robot_files import library_output, place, read_xml
 from .loops.loop import HEAVY_GROUND, Loop, LoopKind
 from .passive import UNLIMITED, Spring
-from .rebuild import NewJoint, copy_losses, rebuild
 from .robot_file_contents import Coupling, LeftOut
-from .robot_files import library_output, place, read_xml
 from .urdf_elements import (
     WORLD,
     axis_of,

@@ -13,11 +13,11 @@ import pinocchio as pin
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays
 from ..common.names import plain
+from .find_robot_files import Visuals
 from .force_interface import Force
 from .hinge_triples import HingeTriple
 from .locked_joints import LockedJoints, LockValue
 from .loops.loop import Constraint
-from .robot_files import Visuals
 
 
 @checks_arguments

@@ -20,7 +20,7 @@ from ..common.arrays import Array
 from ..common.errors import LoadError, ModelError, PinredError
 from ..common.names import plain, plain_path, quoted
 from . import sdf_words
-from .robot_files import (
+from .find_robot_files import (
     NEWEST,
     element_on_line,
     find_file,

@@ -34,13 +34,13 @@ from .coordinates import (
     reordered,
     tree_space,
 )
+from .copy_model import depth_first
 from .coupling import Coupled, coupled, following
 from .force_interface import Force
 from .joints import axes_of
 from .loops.kinematics import Closure
 from .loops.loop import Constraint
 from .loops.loop_assembly import close_loops
-from .rebuild import depth_first
 from .robot_file_contents import Actuator, Contents, Coupling, Keyframe, LeftOut, Origin
 
 T = TypeVar("T")

@@ -17,10 +17,10 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import ModelError
 from ..common.names import listed, nearest, quoted
+from .copy_model import NewJoint
+from .find_robot_files import FileElement, place
 from .passive import UNLIMITED, Spring
-from .rebuild import NewJoint
 from .robot_file_contents import Coupling, LeftOut
-from .robot_files import FileElement, place
 from .urdf_words import SPRINGS, version_of
 
 _DIGITS = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"

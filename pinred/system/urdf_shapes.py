@@ -36,9 +36,9 @@ from numpy.typing import NDArray
 from ..common.errors import LoadError
 from ..common.names import plain, plain_path, quoted
 from . import mesh_process
+from .find_robot_files import Visuals, library_output, read_xml
 from .mesh_process import HEADER, READY
 from .read_urdf import URDFDOM, take_closing_joints, with_deep_stack
-from .robot_files import Visuals, library_output, read_xml
 from .urdf_elements import prepare, reduced_text, replace_commas, tree_depth
 
 _MOST_LINKS = 2000  # Pinocchio's time for shapes is quadratic in the number of links.

@@ -15,8 +15,8 @@ from functools import cache, lru_cache
 from xml.etree.ElementTree import Element
 
 from ..common.names import is_number, plain, quoted
+from .find_robot_files import place
 from .robot_file_contents import LeftOut
-from .robot_files import place
 from .sdf_words import PLUGINS, REPEATED, plugin_kind, waits_for_commands
 
 UNKNOWN = "elements and attributes that pinred does not know"

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from ..common.arrays import Array
 from ..common.errors import InputError, LoadError
-from ..simulation.recording import Recording
+from ..simulation.read_recording import Recording
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import FIELDS, ShapeState, State, map_arrays
 from ..system.system import System

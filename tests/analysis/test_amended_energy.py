@@ -9,8 +9,8 @@ import pinocchio as pin
 import pytest
 
 import pinred
+from pinred.analysis.equilibria.amended_potential import AmendedEnergy, Energies
 from pinred.analysis.equilibria.equilibrium_problem import Points, Problem, problem_of
-from pinred.analysis.equilibria.search import AmendedEnergy, Energies
 from pinred.common.arrays import Array
 
 SPRING = (3.0, 0.4)  # stiffness and rest position

@@ -9,9 +9,9 @@ from spinning_robots import gyrostat, heavy_gyrostat
 
 import pinred
 from pinred.analysis.equilibria import search
+from pinred.analysis.equilibria.amended_potential import AmendedEnergy
 from pinred.analysis.equilibria.equilibrium_problem import Points, problem_of
-from pinred.analysis.equilibria.find import equilibrium_at
-from pinred.analysis.equilibria.search import AmendedEnergy
+from pinred.analysis.equilibria.find_equilibria import equilibrium_at
 from pinred.analysis.stability import stability_verdict as verdict
 from pinred.analysis.stability.linearised_flow import _casimir_gradients
 from pinred.analysis.stability.stability_verdict import (

@@ -13,9 +13,9 @@ from scipy.optimize import minimize_scalar
 
 import pinred
 from pinred.analysis.equilibria import branches as found_by
+from pinred.analysis.equilibria.amended_potential import AmendedEnergy
 from pinred.analysis.equilibria.branches import Curve, CurvePoint
 from pinred.analysis.equilibria.equilibrium_problem import Points, problem_of
-from pinred.analysis.equilibria.search import AmendedEnergy
 from pinred.common.arrays import Array
 
 HUB, MASS, LENGTH, G = 0.3, 1.2, 0.7, 9.81

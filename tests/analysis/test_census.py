@@ -16,10 +16,10 @@ from spinning_robots import equilibria_of_cat, rods
 from test_branches import HUB, LENGTH, MASS, SLIM, WIDE, G, governor, squared_momentum_at
 
 import pinred
+from pinred.analysis.equilibria.amended_potential import AmendedEnergy
 from pinred.analysis.equilibria.distinct_points import DistinctPoints, Orbit, symmetries_of
 from pinred.analysis.equilibria.equilibrium_problem import Points, Problem, problem_of
-from pinred.analysis.equilibria.find import _degree, euler_characteristic
-from pinred.analysis.equilibria.search import AmendedEnergy
+from pinred.analysis.equilibria.find_equilibria import _degree, euler_characteristic
 from pinred.common.arrays import Array
 
 NOTHING = {"cyclic": None, "springs": None, "forces": (), "prescribed": None, "passive": False}

@@ -14,9 +14,9 @@ from spinning_robots import equilibria_of_cat, gyrostat, rods
 from trees import random_model
 
 import pinred
+from pinred.analysis.equilibria.amended_potential import AmendedEnergy, _quarters
 from pinred.analysis.equilibria.equilibrium_problem import Points, problem_of
-from pinred.analysis.equilibria.find import equilibrium_at
-from pinred.analysis.equilibria.search import AmendedEnergy, _quarters
+from pinred.analysis.equilibria.find_equilibria import equilibrium_at
 from pinred.common.arrays import Array
 from pinred.forces import Damper, PotentialEnergy
 from pinred.reduction.potential import falling

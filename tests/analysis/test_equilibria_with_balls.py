@@ -11,9 +11,9 @@ import scipy.optimize
 from ball_trees import joined_bodies
 
 import pinred
+from pinred.analysis.equilibria.amended_potential import AmendedEnergy
 from pinred.analysis.equilibria.distinct_points import symmetries_of
 from pinred.analysis.equilibria.equilibrium_problem import Problem, problem_of
-from pinred.analysis.equilibria.search import AmendedEnergy
 from pinred.common.arrays import Array
 from pinred.forces import BallSpring
 

@@ -18,7 +18,7 @@ from pinred.analysis.connections import shape_field
 from pinred.common.arrays import Array
 from pinred.kernels import kernel as kernels
 from pinred.kernels.connection.connection_code import ConnectionCode
-from pinred.system.robot_files import bundled_robots
+from pinred.system.find_robot_files import bundled_robots
 
 NAMES = ("mass_matrix", "locked_inertia", "local_connection", "reduced_metric", "curvature", "com")
 

@@ -12,10 +12,10 @@ from strategies import seeds
 from trees import random_model
 
 import pinred
+from pinred.analysis.equilibria.amended_potential import AmendedEnergy
 from pinred.analysis.equilibria.equilibrium_problem import Points
-from pinred.analysis.equilibria.find import flow_at
+from pinred.analysis.equilibria.find_equilibria import flow_at
 from pinred.analysis.equilibria.relative_equilibrium import RelativeEquilibrium
-from pinred.analysis.equilibria.search import AmendedEnergy
 from pinred.analysis.stability.stability_verdict import second_variation
 from pinred.common.arrays import Array
 from pinred.forces import Damper

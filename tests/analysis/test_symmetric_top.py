@@ -12,7 +12,7 @@ from spinning_robots import heavy_gyrostat
 
 import pinred
 from pinred.analysis.equilibria.equilibrium_problem import Points, problem_of
-from pinred.analysis.equilibria.find import equilibrium_at
+from pinred.analysis.equilibria.find_equilibria import equilibrium_at
 from pinred.analysis.equilibria.relative_equilibrium import RelativeEquilibrium
 from pinred.analysis.stability.stability_verdict import HeavyTop
 from pinred.common.arrays import Array

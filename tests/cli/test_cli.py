@@ -16,7 +16,7 @@ from pinred.cli.command_line import COMMANDS
 from pinred.integrators.methods import METHODS
 from pinred.lie import GROUPS
 from pinred.scene.scene_options import ENGINES, OUTPUTS
-from pinred.system.robot_files import bundled_robots
+from pinred.system.find_robot_files import bundled_robots
 
 
 def test_compare_prints_verdict_and_exits_with_zero(capsys: pytest.CaptureFixture[str]) -> None:

@@ -24,7 +24,7 @@ from pinred.signals import Expression, Fourier, Signal, Spline
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.pinocchio_engine import PinocchioFlow
 from pinred.simulation.plan import plan_of
-from pinred.system.robot_files import has_example_robots
+from pinred.system.find_robot_files import has_example_robots
 
 
 def wave(k: int) -> Fourier:

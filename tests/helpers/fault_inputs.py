@@ -19,8 +19,8 @@ import numpy as np
 import pinred
 from pinred.cli.command_line import main as command
 from pinred.scene.toml.reader import read_scene_file
-from pinred.simulation.recording import read_recording
-from pinred.system.robot_files import bundled_folder
+from pinred.simulation.read_recording import read_recording
+from pinred.system.find_robot_files import bundled_folder
 
 Rng = np.random.Generator
 

@@ -12,7 +12,7 @@ from trees import random_model
 import pinred
 from pinred.judge.reference_solution import FullMotion, FullState
 from pinred.lie import GROUPS
-from pinred.system.robot_files import bundled_robots, has_example_robots
+from pinred.system.find_robot_files import bundled_robots, has_example_robots
 
 EXAMPLES = {"solo12": 2.0, "ur5": 3.0, "talos": 0.5}
 

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 import pinred
-from pinred.system.robot_files import bundled_robots
+from pinred.system.find_robot_files import bundled_robots
 
 BY = 1e-9
 

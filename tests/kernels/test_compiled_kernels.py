@@ -24,7 +24,7 @@ from pinred.reduction.cyclic_joints import cyclic_joints
 from pinred.simulation.compiled.compiled_flow import CompiledFlow, kernel_of
 from pinred.simulation.pinocchio_engine import PinocchioFlow
 from pinred.simulation.plan import plan_of
-from pinred.system.robot_files import bundled_robots
+from pinred.system.find_robot_files import bundled_robots
 
 LONG = {"four_bar", "parallel_biped"}  # whose motion over 3 s takes several seconds
 

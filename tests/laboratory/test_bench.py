@@ -24,8 +24,8 @@ from pinred.laboratory.bench import (
     call_timing,
     timing,
 )
-from pinred.laboratory.bench.call_timing import BATCH_SOLVERS
 from pinred.laboratory.bench.problems import chain
+from pinred.laboratory.bench.timing import BATCH_SOLVERS
 
 pytestmark = pytest.mark.slow
 

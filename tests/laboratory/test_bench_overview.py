@@ -6,7 +6,7 @@ import numpy as np
 
 from pinred.laboratory.bench import WorkPrecision
 from pinred.laboratory.bench.accuracy import overview
-from pinred.laboratory.bench.work_precision import Point
+from pinred.laboratory.bench.accuracy_record import Point
 
 
 def powers(method: str, wall: float, error: float, order: float) -> list[Point]:

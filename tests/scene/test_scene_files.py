@@ -45,7 +45,7 @@ from pinred.scene.scene_options import LOAD, METHOD_TABLES
 from pinred.scene.toml.reader import IMPACTS, SCENE, read_scene_file
 from pinred.scene.toml.value_tables import FORCES
 from pinred.signals import Constant, Expression, Fourier, Hold, Linear, Spline
-from pinred.system.robot_files import has_example_robots
+from pinred.system.find_robot_files import has_example_robots
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.simulation.recording import read_arrays, read_recording
-from pinred.system.robot_files import bundled_robots
+from pinred.simulation.read_recording import read_arrays, read_recording
+from pinred.system.find_robot_files import bundled_robots
 
 
 @pytest.fixture

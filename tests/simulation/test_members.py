@@ -65,7 +65,7 @@ def test_gravity_of_pivoted_members_may_differ() -> None:
 
 def pinred_robots() -> set[str]:
     """Return the names of the robots that come with pinred."""
-    from pinred.system.robot_files import bundled_robots
+    from pinred.system.find_robot_files import bundled_robots
 
     return set(bundled_robots())
 

@@ -48,7 +48,7 @@ def test_recording_plays_like_its_trajectory(tmp_path: Path, options: dict[str, 
 
 def test_robot_file_is_found_beside_recording(tmp_path: Path) -> None:
     """A robot file is loaded from the folder of the recording or from a given path only."""
-    text = (pinred.system.robot_files.bundled_folder() / "falling_cat.urdf").read_text(
+    text = (pinred.system.find_robot_files.bundled_folder() / "falling_cat.urdf").read_text(
         encoding="utf-8"
     )
     for folder in ("here", "there", "motion"):

@@ -15,7 +15,7 @@ from pinred.forces import Torque
 from pinred.scene.scene import ENGINES, Engine
 from pinred.simulation import step_resolution
 from pinred.simulation.step_resolution import find_defects
-from pinred.system.robot_files import bundled_robots
+from pinred.system.find_robot_files import bundled_robots
 
 CAT = pinred.load("falling_cat")
 PLACE, WIDTH = Parameter("place", 0.3), Parameter("width", 1e-3)

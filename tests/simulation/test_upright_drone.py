@@ -13,7 +13,7 @@ from pinred.cli.command_line import main
 from pinred.forces import Wrench
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Fourier
-from pinred.system.robot_files import bundled_folder
+from pinred.system.find_robot_files import bundled_folder
 
 G = 9.81
 

@@ -25,7 +25,7 @@ from twelve_gains import (
 import pinred
 from pinred import InputError, Parameter
 from pinred.forces import PD, Damper, Spring
-from pinred.simulation.recording import read_recording
+from pinred.simulation.read_recording import read_recording
 
 
 def test_vector_has_the_bits_of_scalars_in_flows() -> None:

@@ -44,7 +44,7 @@ STORED = {
     "pinred.system.loops.kinematics": "Closure",
     "pinred.system.passive": "BallSpring Damper Friction Spring",
     "pinred.system.robot_file_contents": "Actuator Contents LeftOut Origin",
-    "pinred.system.robot_files": "Visuals",
+    "pinred.system.find_robot_files": "Visuals",
     "pinred.system.system": "System",
 }
 

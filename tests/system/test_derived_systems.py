@@ -14,8 +14,8 @@ import pinred
 from pinred import InputError, System
 from pinred.common.arrays import Array
 from pinred.system.assembly import take_apart
+from pinred.system.copy_model import rebuild
 from pinred.system.derived_systems import Instant, Moving, carry_state, join, pair, reroot
-from pinred.system.rebuild import rebuild
 
 REST = (0.0, 0.0, 0.0)
 HERE = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]

@@ -12,9 +12,9 @@ from trees import JOINTS, ROOTS, Rng, inertia, placement
 
 from pinred.common.arrays import Array
 from pinred.common.errors import ModelError
+from pinred.system.copy_model import split_joints
 from pinred.system.passive import SLIDING, Damper, Friction, passive_contents
 from pinred.system.read_urdf import read_urdf
-from pinred.system.rebuild import split_joints
 
 FLOATING = {"JointModelFreeFlyer": 3, "JointModelPlanar": 2}  # number of slides of each joint
 

@@ -16,8 +16,8 @@ import pinred
 from pinred import LoadError, ModelError
 from pinred.laboratory.corpus.trial import Description, run_trial
 from pinred.system import independent_reader, read_urdf
+from pinred.system.copy_model import ModelBuilder
 from pinred.system.independent_reader import differences, second_reading
-from pinred.system.rebuild import ModelBuilder
 from pinred.system.urdf_elements import reduced_text
 
 LOSSES = '<dynamics damping="0.1" friction="2" armature="0.5"/>'

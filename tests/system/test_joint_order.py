@@ -21,7 +21,7 @@ from pinred.forces import Damper, Torque
 from pinred.judge.reference_solution import FullState
 from pinred.lie import GROUPS
 from pinred.scene.scene_options import Engine
-from pinred.system.rebuild import depth_first
+from pinred.system.copy_model import depth_first
 from pinred.system.system import in_gravity
 from pinred.views.playback.colours_and_view_options import View
 from pinred.views.playback.playback import playback

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.simulation.recording import read_recording
-from pinred.system.robot_files import bundled_robots
+from pinred.simulation.read_recording import read_recording
+from pinred.system.find_robot_files import bundled_robots
 from pinred.views.playback.drawn_bodies import drawn_bodies
 
 URDF = """<?xml version="1.0"?>

@@ -19,9 +19,9 @@ from trees import inertia, random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS
+from pinred.system.find_robot_files import bundled_robots, has_example_robots
 from pinred.system.joints import root_joint
 from pinred.system.loops.kinematics import loop_jacobian, loop_values
-from pinred.system.robot_files import bundled_robots, has_example_robots
 
 needs_robots = pytest.mark.skipif(
     not has_example_robots(), reason="example-robot-data is not installed"

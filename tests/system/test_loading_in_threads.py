@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pinred.system.robot_files import library_output
+from pinred.system.find_robot_files import library_output
 
 ROOT = Path(__file__).parents[2]
 MANY = """
@@ -117,7 +117,7 @@ def test_forked_child_has_standard_error() -> None:
     """A child that is forked while output is caught has the right standard error."""
     code = """
 import os, re, threading, time
-from pinred.system.robot_files import library_output
+from pinred.system.find_robot_files import library_output
 caught, out = threading.Event(), []
 
 def catch():

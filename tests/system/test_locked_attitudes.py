@@ -18,7 +18,7 @@ from pinred.cli.command_options import lock_in
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, LoadError, PinredError
 from pinred.lie.rotations import quaternion_exp
-from pinred.simulation.recording import read_recording
+from pinred.simulation.read_recording import read_recording
 from pinred.system.hinge_triples import HingeTriple, hinge_triples
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*(not simulated|singular at single shapes)")

@@ -15,10 +15,10 @@ import pytest
 import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import ChoiceError
+from pinred.system.copy_model import split_joints
 from pinred.system.independent_reader import mass_difference
 from pinred.system.passive import Damper, Friction, Spring
 from pinred.system.read_sdf import read_sdf
-from pinred.system.rebuild import split_joints
 
 HAS_DRAKE = find_spec("pydrake") is not None
 needs_drake = pytest.mark.skipif(not HAS_DRAKE, reason="drake is not installed")

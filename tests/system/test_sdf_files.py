@@ -17,11 +17,11 @@ from test_sdf import LINKS, axis, joint, link, sdf, write
 import pinred
 from pinred.common.errors import ChoiceError
 from pinred.system import independent_reader
+from pinred.system.find_robot_files import line_of, read_xml
 from pinred.system.independent_reader import ROUNDED, mass_difference
 from pinred.system.loops.loop import parse_loops
 from pinred.system.passive import Damper, Friction, Spring
 from pinred.system.read_sdf import read_sdf
-from pinred.system.robot_files import line_of, read_xml
 
 pytestmark = pytest.mark.skipif(find_spec("pydrake") is None, reason="drake is not installed")
 

@@ -17,8 +17,8 @@ from trees import ROOTS, Rng, inertia, placement, unit
 import pinred
 from pinred.common.arrays import Array
 from pinred.equations import lagrange_poincare
+from pinred.system.copy_model import TYPES, split_joints
 from pinred.system.passive import SLIDING, Damper, Friction
-from pinred.system.rebuild import TYPES, split_joints
 
 
 def composite(*joints: pin.JointModel, rng: Rng | None = None) -> pin.JointModel:

@@ -9,8 +9,8 @@ import pinocchio as pin
 import pytest
 
 import pinred
+from pinred.system.copy_model import without_mimics
 from pinred.system.passive import EFFORT, POSITION, VELOCITY, stated_limits
-from pinred.system.rebuild import without_mimics
 
 _INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
 _LINK = f'<link name="%s"><inertial><mass value="1"/>{_INERTIA}</inertial></link>'

@@ -15,8 +15,8 @@ from robot_texts import link, robot
 
 import pinred
 from pinred import LeftOutWarning, ModelError, PinredError
+from pinred.system.find_robot_files import text_in_file
 from pinred.system.read_urdf import UrdfRobot, read_urdf
-from pinred.system.robot_files import text_in_file
 from pinred.system.sdf_words import REPEATED
 from pinred.system.urdf_words import (
     QUATERNION,

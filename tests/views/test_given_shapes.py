@@ -13,7 +13,7 @@ import pytest
 
 import pinred
 from pinred.cli.command_line import main
-from pinred.system.robot_files import has_example_robots
+from pinred.system.find_robot_files import has_example_robots
 from pinred.views.playback.drawn_bodies import Bodies, drawn_bodies
 
 needs_robots = pytest.mark.skipif(

@@ -207,7 +207,7 @@ def test_shapes_have_placements_of_file() -> None:
     """With a locked joint and a free root, against Pinocchio's model of the file."""
     system = pinred.load("solo12", lock={"FL_HFE": 0.7, "HR_KFE": -0.4})
     assert system.origin is not None
-    path = pinred.system.robot_files.example_robot("solo12").urdf
+    path = pinred.system.find_robot_files.example_robot("solo12").urdf
     raw = pin.buildModelFromUrdf(str(path))
     folders = [str(folder) for folder in path.resolve().parents]
     geometry = pin.buildGeomFromUrdf(raw, str(path), pin.GeometryType.VISUAL, package_dirs=folders)

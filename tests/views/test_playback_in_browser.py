@@ -335,7 +335,7 @@ def test_page_of_a_minute_is_small_and_fast(screen: Browser, tmp_path: Path) -> 
 
 def test_robot_names_cannot_inject_scripts(screen: Browser, tmp_path: Path) -> None:
     """Names of the robot's file are shown as text."""
-    text = (pinred.system.robot_files.bundled_folder() / "elroys_beanie.urdf").read_text(
+    text = (pinred.system.find_robot_files.bundled_folder() / "elroys_beanie.urdf").read_text(
         encoding="utf-8"
     )
     evil = (

@@ -17,7 +17,7 @@ from pictures import measured
 
 import pinred
 from pinred import plots
-from pinred.laboratory.bench.work_precision import Point, WorkPrecision
+from pinred.laboratory.bench.accuracy_record import Point, WorkPrecision
 
 
 @pytest.fixture(scope="module")

@@ -40,11 +40,11 @@ from ...forces.signals import Signal
 from ...system.coordinates import ShapeSpace
 from ...system.system import System, checked_system
 from ..stability.stability_verdict import second_variation, weights
+from .amended_potential import AmendedEnergy, Energies, critical_points, residuals
 from .distinct_points import DistinctPoints
 from .equilibrium_problem import Points, Problem, problem_of, tangents
-from .find import ROUNDS, Search, equilibrium_at
+from .find_equilibria import ROUNDS, Search, equilibrium_at
 from .relative_equilibrium import RelativeEquilibrium
-from .search import AmendedEnergy, Energies, critical_points, residuals
 
 _FOLD = 1e-6  # least |v·∂F/∂J| that counts as a fold, relative to |∂F/∂J|
 _EVEN = 1e-4  # largest third derivative of a pitchfork, relative to the curvatures

@@ -27,8 +27,8 @@ from ...lie.rotations import quaternion_from_matrix, quaternion_product, rotatio
 from ...system.coordinates import tree_space
 from ...system.joints import axes_of
 from ..stability.stability_verdict import second_variation
+from .amended_potential import AmendedEnergy, Energies, newton_step, residuals, some
 from .equilibrium_problem import Points, Problem, embedded, joined
-from .search import AmendedEnergy, Energies, newton_step, residuals, some
 
 _SAME = 1e-6  # largest distance of equal regular points [rad | m]
 _SAME_FLAT = 1e-3  # largest distance of equal points with a flat direction [rad | m]

@@ -36,8 +36,8 @@ from ...reduction.pointwise_reduction import mass_matrix
 from ...reduction.tree.second_derivatives import inertia_derivatives
 from ...system.coordinates import ShapeSpace
 from ...system.joints import BALL
+from ..equilibria.amended_potential import AmendedEnergy, critical_points, residuals
 from ..equilibria.equilibrium_problem import Points, Problem, tangents
-from ..equilibria.search import AmendedEnergy, critical_points, residuals
 from .linearised_flow import Linearisation, eigen, eigenvalue_errors, norm
 
 Verdict: TypeAlias = Literal["stable", "unstable", "undecided"]

@@ -35,6 +35,7 @@ from ...simulation.compiled.integrator import integrator
 from ...simulation.plan import plan_of
 from ...simulation.simulate import simulate
 from ...system.state_fields import with_base
+from .accuracy_record import ERRORS, NAME, Point, WorkPrecision, read_record, write_record
 from .peers.aba import ABA
 from .peers.cvodes import CVODES
 from .peers.drake import DRAKE
@@ -53,7 +54,6 @@ from .problems import (
     select_named,
 )
 from .timing import Action, Table, alternating, repeated, timed
-from .work_precision import ERRORS, NAME, Point, WorkPrecision, read_record, write_record
 
 FROM_TOLERANCE = decades(2, 14)
 

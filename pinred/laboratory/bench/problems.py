@@ -25,8 +25,8 @@ from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow, flows_of
 from ...simulation.plan import of_scenes, plan_of
 from ...system.coordinates import InitialState
+from ...system.find_robot_files import INSTALL_ROBOTS, bundled_robots, has_example_robots
 from ...system.load import load
-from ...system.robot_files import INSTALL_ROBOTS, bundled_robots, has_example_robots
 from ...system.state_fields import State, with_base
 from ...system.system import System
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from ...common.errors import InputError, LoadError
 from ...common.files import write_table
-from ...system.robot_files import bundled_robots, example_robots
+from ...system.find_robot_files import bundled_robots, example_robots
 from .trial import GOOD, Description, Entry, Kind, Outcome, run_trial
 
 _WARM_UP = 60.0  # additional time [s] of a new process for its imports

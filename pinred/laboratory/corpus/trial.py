@@ -36,13 +36,13 @@ from ...judge.compare import compare
 from ...judge.verdict import Report, Verdict
 from ...reduction.pointwise_reduction import symmetric
 from ...simulation.simulate import simulate
+from ...system.find_robot_files import EVERYTHING, library_output, read_text, read_xml
 from ...system.independent_reader import second_reading
 from ...system.load import load
 from ...system.mjcf.compile import compiled, mujoco_package, warnings_kept
 from ...system.mjcf.read import gravity_of
 from ...system.mjcf.world import robot_in
 from ...system.read_sdf import drake_warnings
-from ...system.robot_files import EVERYTHING, library_output, read_text, read_xml
 from ...system.system import System
 
 Kind: TypeAlias = Literal["urdf", "mjcf", "sdf", "name"]

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ellipk, ellipkm1
 
 from ...analysis.connections.connection import Connection
-from ...analysis.equilibria.find import relative_equilibria
+from ...analysis.equilibria.find_equilibria import relative_equilibria
 from ...analysis.equilibria.relative_equilibrium import Equilibria
 from ...analysis.floating_arm import FloatingArm
 from ...analysis.full_reduction import Reduction

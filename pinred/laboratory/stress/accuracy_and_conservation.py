@@ -21,9 +21,9 @@ from ...judge.reference_solution import FINEST, FullMotion, FullState, Size
 from ...judge.step_defects import largest_defect
 from ...scene.scene import Scene
 from ...simulation.trajectory import Trajectory
+from ...system.find_robot_files import bundled_robots
 from ...system.joints import is_prismatic
 from ...system.load import load
-from ...system.robot_files import bundled_robots
 from ...system.system import System
 from .check import EPS, PER_GROWTH, Case, Cases, Trial, check, dop853, tolerance
 

@@ -25,10 +25,10 @@ from ...forces.signals import Signal
 from ...forces.signals.expressions import FUNCTIONS, parse
 from ...integrators.methods import METHODS
 from ...system.assembly import link_frame
+from ...system.find_robot_files import bundled_robots
 from ...system.load import load
 from ...system.loops.loop import SUFFIXES
 from ...system.model_parameters import size_of
-from ...system.robot_files import bundled_robots
 from ...system.system import System
 from ..event import Event
 from ..initial_state import DURATION

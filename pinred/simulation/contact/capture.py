@@ -55,7 +55,7 @@ from ...system.derived_systems import (
 from ...system.joints import axes_of
 from ...system.loops.kinematics import loop_jacobian
 from ...system.system import System, checked_system
-from ..state_tables_and_files import OverTime
+from ..saved_states import OverTime
 from ..trajectory import Trajectory
 
 MEETING = 1e-6  # default largest distance of the frames that a capture joins [m], [rad]

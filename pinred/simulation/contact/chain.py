@@ -39,7 +39,7 @@ from ...system.derived_systems import (
 from ...system.state_fields import State, arrays_of
 from ...system.system import System
 from ..impacts import ImpactTable, joined_tables
-from ..recording import Recording
+from ..read_recording import Recording
 from ..simulate import simulate
 from ..trajectory import Trajectory
 from .capture import (

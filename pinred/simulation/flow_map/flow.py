@@ -30,7 +30,7 @@ from .inputs import Inputs, motion_of, with_varied
 
 if TYPE_CHECKING:
     from .flow_columns import Columns, FlowCallback
-    from .flow_run import Run
+    from .run_and_adjoint import Run
 
 _ROWS: tuple[Outcome, ...] = get_args(Outcome)
 _ALL: tuple[Outcome, ...] = ("x", "xdot", "pose", "xi")
@@ -286,7 +286,7 @@ class Flow:
         Returns:
             The run, with a solution between each two stops.
         """
-        from .flow_run import refuse_singular_run
+        from .run_and_adjoint import refuse_singular_run
 
         columns = self.input_map.given(inputs)
         key = columns.state.tobytes() + columns.constants.tobytes()

@@ -23,9 +23,9 @@ from ...common.errors import InputError, ShapeError
 from ...common.names import brief, listed, nearest
 from ...integrators.methods import Explicit
 from ...kernels.flow_functions import Row, sizes_of
-from .flow_run import Run
 from .inputs import Given, Inputs
 from .propagator import Propagator
+from .run_and_adjoint import Run
 
 # Up to this number of runs, one thread finishes before a second thread has started.
 _RUNS_OF_ONE_THREAD = 32

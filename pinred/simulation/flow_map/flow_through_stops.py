@@ -38,14 +38,14 @@ from ...system.state_fields import Outcome, ShapeState, State
 from ..compiled.compiled_flow import CompiledFlow
 from ..impacts import bernstein
 from ..plan import Span, plan_of, spans_between
-from ..robot_columns import without_own
+from ..robot_parameters import without_own
 from ..run_with_stops import Phase, StoppedMotion, locked_scene, margin_of
 from ..simulate import trajectory_of
 from ..trajectory import Trajectory
-from .flow_run import Run
 from .inputs import Given, motion_of, stop_numbers_of
 from .jumps import Contact, ImpactJump, Jump, Side, Slots, StopInputs, jump_between, jump_of
 from .propagator import Propagator
+from .run_and_adjoint import Run
 
 _DEGREE = 8  # Degree of the polynomials that describe gaps within a step.
 _REAL = 1e-9  # Imaginary part of a real root, relative to the step.

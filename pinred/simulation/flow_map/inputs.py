@@ -46,7 +46,7 @@ from ...system.loops.kinematics import loop_jacobian, loop_jacobian_rate
 from ...system.loops.loop_assembly import loop_rates, rate_units
 from ...system.system import System
 from ..compiled.compiled_flow import CompiledFlow
-from ..robot_columns import RobotColumns, with_own
+from ..robot_parameters import RobotColumns, with_own
 
 if TYPE_CHECKING:
     pass

@@ -36,9 +36,9 @@ from ..compiled.integrator import explained, wild_steps
 from ..members.integrate_members import integrate_members
 from ..members.trajectories import Batch
 from ..plan import Plan, Span, spans_between
-from .flow_run import OutcomeAdjoint, Run, resolve_run
 from .inputs import Given, InitialMap, motion_of
 from .jumps import jumps_of
+from .run_and_adjoint import OutcomeAdjoint, Run, resolve_run
 
 _NUMBERS_AT_ONCE = 2**24  # largest number of derivatives that are kept at once
 

@@ -50,7 +50,7 @@ from ...system.model_parameters import GRAVITY, kinds_near, requested, size_of
 from ...system.system import System, in_gravity, nominal
 from ..closed_loops import may_pass_singular_shape
 from ..plan import Group, MemberParameters, Members, members_plan
-from ..robot_columns import RobotColumns, with_own
+from ..robot_parameters import RobotColumns, with_own
 from ..simulate import as_scene, trajectory_of
 from .trajectories import Batch, Failure
 

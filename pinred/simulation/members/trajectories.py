@@ -25,7 +25,7 @@ from ...system.coordinates import Indices
 from ...system.state_fields import FIELDS, ShapeState, State, arrays_of, axis_lengths, map_arrays
 from ...system.system import System, nominal
 from ..impacts import MemberImpacts, impact_arrays, member_table_in
-from ..recording import (
+from ..read_recording import (
     MOST_BYTES,
     ORIGIN,
     RecordedStates,
@@ -33,8 +33,8 @@ from ..recording import (
     load_recorded_robot,
     read_arrays,
 )
+from ..saved_states import OverTime, read_zarr, robot_arrays, write_zarr
 from ..simulate import trajectory_of
-from ..state_tables_and_files import OverTime, read_zarr, robot_arrays, write_zarr
 from ..trajectory import Cost, Trajectory
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ import numpy as np
 from ...common.errors import LoadError, ModelError, PinredError, install_command, optional_package
 from ...common.files import is_file, is_special
 from ...common.names import plain_path
-from ..robot_files import is_mujoco, library_output, read_text, without_hyphens
+from ..find_robot_files import is_mujoco, library_output, read_text, without_hyphens
 
 INSTALL = install_command("mjcf")
 

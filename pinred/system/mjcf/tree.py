@@ -25,9 +25,9 @@ from ...common.errors import InputError, ModelError
 from ...common.names import listed, quoted
 from ...lie.group import Group
 from ...lie.groups import SE2, RxSE2
+from ..copy_model import Carrier, ModelBuilder
 from ..joints import root_joint
 from ..passive import limits_of_angle
-from ..rebuild import Carrier, ModelBuilder
 from .world import Joint, World, frame, joint_of, quaternion, wxyz
 
 # Values of mjtSameFrame for which MuJoCo replaces the position (_SAME_PLACE) or the rotation

@@ -15,7 +15,7 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.errors import ChoiceError, InputError, LoadError
 from ...common.names import quoted
-from ..rebuild import PRISMATIC, REVOLUTE, joint_along
+from ..copy_model import PRISMATIC, REVOLUTE, joint_along
 from ..robot_file_contents import shortened
 from .compile import mujoco_package
 

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias, TypedDict
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import positive
 from ...common.errors import InputError
-from ...system.robot_files import mesh_folders
+from ...system.find_robot_files import mesh_folders
 
 PAGES = (".html", ".rrd")  # suffixes of files that play at any speed, in contrast to films
 VIEWERS = {  # {name: description}

@@ -17,10 +17,7 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.errors import LoadError, PinredError
 from ...system.assembly import take_apart
-from ...system.mjcf.compile import compiled
-from ...system.mjcf.world import World, frame, robot_in
-from ...system.robot_file_contents import Derivation, Origin
-from ...system.robot_files import (
+from ...system.find_robot_files import (
     bundled_robots,
     example_robot,
     is_mjcf,
@@ -28,6 +25,9 @@ from ...system.robot_files import (
     read_text,
     text_in_file,
 )
+from ...system.mjcf.compile import compiled
+from ...system.mjcf.world import World, frame, robot_in
+from ...system.robot_file_contents import Derivation, Origin
 from ...system.system import System
 from ...system.urdf_shapes import FARTHEST, Mesh, Shapes, read_shapes
 

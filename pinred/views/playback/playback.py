@@ -21,7 +21,7 @@ from ...judge.compare import full_state_of
 from ...judge.stop_reference import StoppedFullState
 from ...lie.group import Group
 from ...lie.rotations import rotation
-from ...simulation.recording import Recording
+from ...simulation.read_recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.joints import axes_of
 from ...system.state_fields import State

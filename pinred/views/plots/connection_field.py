@@ -35,7 +35,7 @@ from ...common.arrays import Array, as_floats, vector, vectors
 from ...common.errors import InputError, PinredError
 from ...common.names import component_index
 from ...lie.group import Group
-from ...simulation.recording import Recording
+from ...simulation.read_recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.joints import is_prismatic
 from ...system.system import System, checked_system

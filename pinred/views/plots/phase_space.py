@@ -18,7 +18,7 @@ from ...common.arrays import Array, as_floats
 from ...common.errors import InputError, SymmetryError
 from ...lie.groups import GROUPS, group_named
 from ...reduction.pointwise_reduction import symmetric
-from ...simulation.recording import Recording
+from ...simulation.read_recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.state_fields import State, with_base
 from ...system.system import System

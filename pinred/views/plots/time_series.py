@@ -17,7 +17,7 @@ from ...judge.compare import DRIFT_BOUND, compare
 from ...judge.verdict import Report
 from ...lie.groups import group_named
 from ...lie.rotations import rotation, unwrapped_rotation_vectors
-from ...simulation.recording import Recording
+from ...simulation.read_recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.passive import joint_limits
 from ...system.state_fields import FIELDS

@@ -47,10 +47,7 @@ from ...system.singular_mass_matrix import singular_shapes
 from ...system.system import System, checked_system
 from ..stability.linearised_flow import linearised, of_smooth_momenta
 from ..stability.stability_verdict import Stability, assess_stability, second_variation
-from .distinct_points import FLAT, DistinctPoints, Orbit, Symmetry
-from .equilibrium_problem import Points, Problem, embedded, finite, joined, problem_of, tangents
-from .relative_equilibrium import Census, Equilibria, RelativeEquilibrium, pose_of
-from .search import (
+from .amended_potential import (
     AmendedEnergy,
     Energies,
     critical_points,
@@ -61,6 +58,9 @@ from .search import (
     residuals,
     starting_points,
 )
+from .distinct_points import FLAT, DistinctPoints, Orbit, Symmetry
+from .equilibrium_problem import Points, Problem, embedded, finite, joined, problem_of, tangents
+from .relative_equilibrium import Census, Equilibria, RelativeEquilibrium, pose_of
 
 _ASIDE = 0.01  # displacement along a flat direction that determines the degree [rad | m]
 _ZERO = 1e-10  # derivative along a flat direction that counts as zero, relative to the energies

@@ -14,12 +14,7 @@ from ...common.errors import AccuracyWarning
 from ...integrators.integrate import Solution
 from ...integrators.stepping.compiling import compiled
 from ...integrators.stepping.intrinsics import call, call_adjoint
-from ...kernels.flow_functions import (
-    Row,
-    outcome_of,
-    reference_in,
-    reference_size,
-)
+from ...kernels.flow_functions import Row, outcome_of, reference_in, reference_size
 from ...kernels.kernel import Kernel
 from ...system.coordinates import Indices
 from ..closed_loops import may_pass_singular_shape, refuse_singular_shapes

@@ -28,11 +28,11 @@ from ..common.files import is_file
 from ..common.names import plain_path, quoted, quoted_path
 from ..lie.groups import GROUPS
 from ..system.body_parameters import refuse_vague
+from ..system.find_robot_files import bundled_robots
 from ..system.load import is_path
-from ..system.robot_files import bundled_robots
 from ..system.state_fields import FIELDS, Axis, ShapeState, State
 from .impacts import ImpactTable, no_impacts, table_in
-from .state_tables_and_files import OverTime, lock_in, parameters_in, save
+from .saved_states import OverTime, lock_in, parameters_in, save
 
 if TYPE_CHECKING:
     from ..system.system import System
