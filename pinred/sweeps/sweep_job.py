@@ -242,6 +242,7 @@ _MOVED = {
     "pinred.system.elementary_joints": "pinred.system.joints",
     "pinred.system.loops.looped_system": "pinred.system.loops.kinematics",
     "pinred.system.shape_space": "pinred.system.coordinates",
+    "pinred.system.robot_files": "pinred.system.find_robot_files",
     "pinred.system.visuals": "pinred.system.find_robot_files",
     "pinred.integrators.methods.explicit_methods": "pinred.integrators.methods.method",
     "pinred.integrators.methods.implicit_methods": "pinred.integrators.methods.method",

@@ -8,7 +8,7 @@ import pytest
 from spinning_robots import gyrostat, heavy_gyrostat
 
 import pinred
-from pinred.analysis.equilibria import search
+from pinred.analysis.equilibria import amended_potential
 from pinred.analysis.equilibria.amended_potential import AmendedEnergy
 from pinred.analysis.equilibria.equilibrium_problem import Points, problem_of
 from pinred.analysis.equilibria.find_equilibria import equilibrium_at
@@ -39,12 +39,14 @@ def test_residual_limit_is_1e_9_of_energy(
     monkeypatch: pytest.MonkeyPatch, factor: float, found: int
 ) -> None:
     """A gradient counts as zero up to 1e-9 of the size of the energies."""
-    monkeypatch.setattr(search, "NEWTON", 0)
+    monkeypatch.setattr(amended_potential, "NEWTON", 0)
     energy = AmendedEnergy(problem_of(body(2.0, 3.0, 4.0), **NOTHING))  # type: ignore[arg-type]
     middle = Points(np.zeros((1, 0)), np.array([[0.0, 1.0, 0.0]]))
-    slope = search.residuals(energy(middle.moved(np.array([[1e-4, 0.0]])), 1.0))[0] / 1e-4
+    slope = (
+        amended_potential.residuals(energy(middle.moved(np.array([[1e-4, 0.0]])), 1.0))[0] / 1e-4
+    )
     beside = middle.moved(np.array([[factor * 1e-9 / slope, 0.0]]))
-    assert len(search.critical_points(energy, beside, 1.0)[0]) == found
+    assert len(amended_potential.critical_points(energy, beside, 1.0)[0]) == found
 
 
 def test_prescribed_rate_is_steady_within_1e_12() -> None:

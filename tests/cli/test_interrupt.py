@@ -64,7 +64,7 @@ def test_interrupt_ends_compare_during_aba() -> None:
 def test_swallowed_interrupt_ends_the_process(runs: str) -> None:
     """Libraries that swallow KeyboardInterrupt do not keep the process running."""
     swallowing = (
-        "import ctypes, sys, time\nfrom pinred.cli import command_line\nfrom pinred.cli import entry\n"
+        "import ctypes, sys, time\nfrom pinred.cli import command_line, entry\n"
         f"def run():\n    print('ready', flush=True)\n{runs}"
         "command_line.main = run\nsys.exit(entry.main())\n"
     )

@@ -21,7 +21,6 @@ from pinred.laboratory.bench import (
     bench_kernels,
     bench_many,
     bench_threads,
-    call_timing,
     timing,
 )
 from pinred.laboratory.bench.problems import chain
@@ -38,42 +37,42 @@ def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_call_timing_counts_integrations(monkeypatch: pytest.MonkeyPatch) -> None:
     """A comparison takes longer than the integration by ABA that it contains."""
-    monkeypatch.setattr(call_timing, "_ROUNDS", 1)
-    table = call_timing.bench_compare(["falling_cat, 2 s"])
+    monkeypatch.setattr(timing, "_ROUNDS", 1)
+    table = timing.bench_compare(["falling_cat, 2 s"])
     (result,) = table
     assert result.verdict == "PASSED"
     assert result.integrations > 1.0
     assert f"{result.seconds:.3g}" in str(table)
     with pytest.raises(InputError, match=r"no scene 'moon'; the scenes are falling_cat"):
-        call_timing.bench_compare(["moon"])
+        timing.bench_compare(["moon"])
     with pytest.raises(InputError, match="did you mean 'talos, 2 s'"):
-        call_timing.bench_compare(["talo, 2 s"])
+        timing.bench_compare(["talo, 2 s"])
 
 
 def test_first_calls_are_medians_of_three_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     """The table has the median of the times; unknown calls are refused."""
-    monkeypatch.setattr(call_timing, "CALLS", {"note": "pass"})
+    monkeypatch.setattr(timing, "CALLS", {"note": "pass"})
     times = {"pass": [0.5, 4.0, 0.25]}
-    monkeypatch.setattr(call_timing, "time_in_fresh_process", lambda call: times[call].pop())
-    row = str(call_timing.bench_first_calls()).splitlines()[-1]
+    monkeypatch.setattr(timing, "time_in_fresh_process", lambda call: times[call].pop())
+    row = str(timing.bench_first_calls()).splitlines()[-1]
     assert times == {"pass": []}
     assert row.split() == ["note", "0.5"]
     with pytest.raises(InputError, match="no call 'moon'; the calls are note"):
-        call_timing.bench_first_calls(["moon"])
+        timing.bench_first_calls(["moon"])
 
 
 def test_first_call_is_timed_in_another_process() -> None:
     """The process has a cache of its own, and its time includes the whole call and no import."""
     slow = "time.sleep(0.3); assert pinred.load('falling_cat') is not system"
-    assert 0.3 < call_timing.time_in_fresh_process(slow) < 1e3
+    assert 0.3 < timing.time_in_fresh_process(slow) < 1e3
 
 
 @pytest.mark.by_hand("flow.vjp", "simulate, Radau")
-@pytest.mark.parametrize("name", call_timing.CALLS)
+@pytest.mark.parametrize("name", timing.CALLS)
 def test_first_calls_are_valid_programs(name: str) -> None:
     """The source text of each call runs with the names that the program defines."""
     names = {"pinred": pinred, "numpy": np, "system": pinred.load("falling_cat")}
-    exec(call_timing.CALLS[name], names)
+    exec(timing.CALLS[name], names)
 
 
 def test_importing_bench_is_lazy() -> None:

@@ -21,7 +21,7 @@ from pinred.forces import Torque, time_functions
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Hold
 from pinred.simulation import longest_steps, step_resolution
-from pinred.simulation.flow_map import flow_run
+from pinred.simulation.flow_map import run_and_adjoint
 from pinred.simulation.longest_steps import StepLimits
 from pinred.simulation.members import integrate_members
 from pinred.simulation.plan import plan_of
@@ -60,7 +60,7 @@ def never_limit(monkeypatch: pytest.MonkeyPatch) -> None:
         return [run(UNLIMITED)]
 
     monkeypatch.setattr(step_resolution, "resolved_runs", runs)
-    monkeypatch.setattr(flow_run, "resolved_runs", runs)
+    monkeypatch.setattr(run_and_adjoint, "resolved_runs", runs)
 
 
 def test_bumps_are_not_skipped(monkeypatch: pytest.MonkeyPatch) -> None:

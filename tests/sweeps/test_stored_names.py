@@ -65,6 +65,7 @@ FORMER = {
     "pinred.system.elementary_joints": "_named",
     "pinred.system.loops.looped_system": "Closure",
     "pinred.system.shape_space": "PlacedJoint ShapeSpace",
+    "pinred.system.robot_files": "Visuals",
     "pinred.system.visuals": "Visuals",
 }
 

@@ -8,7 +8,7 @@ import pytest
 from robot_texts import FLOATING, link, robot, write
 
 import pinred
-from pinred.system import robot_files
+from pinred.system import find_robot_files
 
 _DEEP = 10_000
 
@@ -33,7 +33,7 @@ def test_unknown_elements_count_towards_limit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All elements are counted, whatever their tag."""
-    monkeypatch.setattr(robot_files, "_MOST_ELEMENTS", 50)
+    monkeypatch.setattr(find_robot_files, "_MOST_ELEMENTS", 50)
     with pytest.raises(pinred.LoadError, match="more than 50 elements"):
         pinred.load(write(tmp_path, robot("<x/>" * 100)))
 
