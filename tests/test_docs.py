@@ -31,6 +31,7 @@ def test_readme_examples_run(code: str, capsys: pytest.CaptureFixture[str]) -> N
     assert "verdict: PASSED" in capsys.readouterr().out
 
 
+@pytest.mark.by_hand("adapters/scipy.md")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",

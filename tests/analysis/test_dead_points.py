@@ -128,6 +128,8 @@ def test_phase_of_a_full_turn_does_not_depend_on_the_independent_joint(joint: st
     assert momentum.length == pytest.approx(expected.length, rel=1e-9)
 
 
+# Every run has the five-bar below.
+@pytest.mark.by_hand
 def test_crank_turns_on_where_the_gait_of_the_rocker_passes_its_dead_points() -> None:
     """The rocker swings between its ends, also from one of them, and also in reverse."""
     connection, group = by(crank_rocker(), "rocker"), crank_rocker().group

@@ -72,6 +72,8 @@ def test_plot_writes_one_file_per_kind(capsys: pytest.CaptureFixture[str], tmp_p
         assert imread(tmp_path / f"cat_{kind}.png").std() > 0.01
 
 
+# Every run writes figures of the command below, and compares pictures in views/.
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_plot_matches_the_figure_of_python(
     capsys: pytest.CaptureFixture[str], tmp_path: Path

@@ -162,6 +162,8 @@ def test_through_refuses_attitudes_of_other_shapes(attitudes: Any) -> None:
         Attitude.through([0.0, 1.0, 2.0], attitudes)
 
 
+# Every run varies a Parameter of an attitude in test_many_derivatives.
+@pytest.mark.by_hand
 def test_members_and_flows_vary_parameters_of_attitudes() -> None:
     """Batches equal single runs, and derivatives by a Parameter equal differences."""
     rate = Parameter("rate", 1.3)

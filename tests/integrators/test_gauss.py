@@ -91,6 +91,7 @@ def test_tables_satisfy_collocation_and_symplectic_conditions(stages: int) -> No
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("robot", ["double_spherical_pendulum", "falling_cat"])
+@pytest.mark.sampled
 def test_gauss_has_its_order(robot: str, order: int) -> None:
     """Order in shape and attitude together, against ABA on the full state."""
     counts = {2: [60, 90, 130, 190], 4: [30, 42, 60, 85], 6: [14, 18, 24, 32], 8: [12, 15, 18, 22]}

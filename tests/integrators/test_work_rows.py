@@ -41,7 +41,7 @@ ROBOTS = ("rigid_body", "cartpole", "coupled_planar", "elroys_beanie", "falling_
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", [*METHODS, *FURTHER], ids=str)
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_steppers_write_within_work_rows(method: Method, monkeypatch: pytest.MonkeyPatch) -> None:
     """Marks after the rows survive steps, reports inside steps, and later dense output."""
     allocated: list[Array] = []

@@ -21,6 +21,7 @@ from pinred.reduction.pointwise_reduction import PointwiseReduction
 QUICK = (4, 10)  # short runs; other tests have dampers, PD control, and wrong forces and masses
 
 
+@pytest.mark.by_hand("10")
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(

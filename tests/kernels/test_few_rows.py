@@ -45,6 +45,7 @@ def _solve(kind: type[Explicit], seed: int) -> Run:
     return integrate(kind(rtol=1e-7, atol=1e-9), spring, params, y0, 1.0, times)
 
 
+@pytest.mark.by_hand("Tsit5")
 @pytest.mark.parametrize("kind", METHODS)
 def test_few_rows_change_no_bit(kind: type[Explicit], monkeypatch: pytest.MonkeyPatch) -> None:
     """The rows that are shared are dead when they are overwritten."""

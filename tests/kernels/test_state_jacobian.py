@@ -74,6 +74,7 @@ def test_other_structures_use_columns() -> None:
     assert not graphs.has_recursion(kernel.system, kernel.structure, kernel.forces)
 
 
+@pytest.mark.by_hand("0.0")
 @pytest.mark.parametrize("scale", [1.0 + 1e-5, 0.0])
 def test_wrong_recursion_is_rejected(
     scale: float, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory

@@ -168,7 +168,7 @@ ROBOT_KERNELS: dict[str, Callable[[Units], Kernel]] = {
 }  # fmt: skip
 
 
-@pytest.mark.by_hand("weld", "loop")
+@pytest.mark.by_hand("weld", "loop", "driven", "tree")
 @pytest.mark.parametrize("robot", [*ROBOTS, "driven"])
 def test_states_are_equal_in_own_units(robot: str) -> None:
     """States, parameters and times, relative to their sizes, do not depend on units."""
@@ -191,7 +191,7 @@ def test_states_are_equal_in_own_units(robot: str) -> None:
     assert relative(units) == pytest.approx(relative(Units()), rel=1e-9, abs=1e-9)
 
 
-@pytest.mark.by_hand("weld")
+@pytest.mark.by_hand("weld", "tree")
 @pytest.mark.parametrize("robot", ["tree", "weld", "driven", "cyclic"])
 def test_compared_entries_of_one_kind_have_equal_units(
     robot: str, monkeypatch: pytest.MonkeyPatch

@@ -65,6 +65,7 @@ def test_torques_along_loop_are_those_of_rnea() -> None:
         close(tau[3 * k], expected[system.r :], 1e-9 * size)
 
 
+@pytest.mark.by_hand("torque", "length")
 @pytest.mark.parametrize("kind", COSTS)
 def test_slopes_of_costs_with_balls_equal_differences(kind: CostKind) -> None:
     """All costs of a random loop of two balls, about a random centre."""

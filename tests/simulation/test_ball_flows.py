@@ -91,6 +91,8 @@ def test_jacobian_with_ball_equals_differences_of_simulations(
         assert np.abs(found - expected).max() <= 1e-13 * scale
 
 
+# Every run has the balls of test_many_derivatives.
+@pytest.mark.by_hand
 def test_jvp_of_random_tree_equals_differences_of_aba() -> None:
     """SciPy integrates ABA of a tree with two balls, a hinge and a slide."""
     system = ball_tree(11, 4)

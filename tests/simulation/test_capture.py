@@ -35,7 +35,7 @@ def twist_error(found: Twists, expected: Twists, before: Twists) -> float:
     return float(max(np.abs(found[name] - expected[name]).max() for name in expected) / scale)
 
 
-@pytest.mark.by_hand("trees", "flat")
+@pytest.mark.by_hand("trees", "flat", "loops")
 @pytest.mark.parametrize("kind", KINDS)
 def test_capture_of_random_pairs_equals_constrained_impulse(kind: str) -> None:
     """Links move as multipliers on both mass matrices say; momentum and energy balance."""

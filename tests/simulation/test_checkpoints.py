@@ -185,6 +185,7 @@ def test_resumed_run_ends_at_the_same_event(
     check_equal(whole, pinred.simulate(make(), checkpoint=path))
 
 
+@pytest.mark.by_hand("Gauss(0.01, 4)")
 @pytest.mark.parametrize("method", ["auto", "Gauss(0.01, 4)"])
 def test_resumed_run_with_stops_equals_the_run_through_stops(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, method: str

@@ -224,6 +224,8 @@ def test_computed_torque_of_leader_tracks_exactly(crank: pinred.System) -> None:
     np.testing.assert_allclose(traj.x[:, 0], 0.2 + traj.t, atol=1e-9)
 
 
+# Every run has computed torques of test_controllers and coupled trees above.
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_computed_torque_of_coupled_tree_gives_zero_accelerations() -> None:
     """With zero gains, the joints of a branched tree move at constant rates."""

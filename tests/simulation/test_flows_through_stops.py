@@ -102,6 +102,7 @@ def test_bounce_of_a_slide_has_the_closed_form() -> None:
     np.testing.assert_allclose(J["xdot0"], [[-e * T], [-e]], atol=1e-12)
 
 
+@pytest.mark.by_hand("3.0-True")
 @pytest.mark.parametrize(("T", "rests"), [(3.0, True), (2.0, False)])
 def test_accumulating_impacts_have_the_closed_form(T: float, rests: bool) -> None:
     """A pressed slide bounces to rest; the impulses on it move the free slide beside it.
@@ -303,6 +304,8 @@ def test_gravity_at_a_pivot_agrees_with_differences() -> None:
     assert len(traj.impacts) >= 3
 
 
+# Every run has the random tree above, and full states in test_joint_stops.
+@pytest.mark.by_hand
 def test_rest_and_release_agree_with_full_state_differences() -> None:
     """Differences of pin.aba, SciPy and impulses of CRBA, with a torque that depends on time."""
     cat = pinred.load("falling_cat")

@@ -66,7 +66,7 @@ def spatial_momentum(system: pinred.System, q: Array, v: Array) -> Array:
     return h
 
 
-@pytest.mark.by_hand("satellite_two_arms-0.5-0.3-0.1-2.0")
+@pytest.mark.by_hand("satellite_two_arms-0.5-0.3-0.1-2.0", "solo12-0.5-0.3-0.15-5.0", "satellite_two_arms-0.5-0.9-0.5-3.0")
 @pytest.mark.parametrize(
     ("robot", "limit", "restitution", "end", "speed"),
     [
@@ -575,6 +575,7 @@ def test_scene_file_and_command_take_stops(
         pinred.load_scene(file)
 
 
+@pytest.mark.by_hand("0.3-2.0-1e-12")
 @pytest.mark.parametrize(
     ("position", "acceleration", "rest_rate"),
     [(0.0, 2.0, 1e-14), (0.3, 2.0, 1e-12), (0.3, 1e6, 1e-6), (100.0, 1e6, 1e-6)],

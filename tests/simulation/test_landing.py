@@ -19,6 +19,7 @@ from pinred.lie import GROUPS
 REST = (0.0, 0.0, 0.0)
 
 
+@pytest.mark.by_hand("loops-point")
 @pytest.mark.parametrize("contact", ["point", "flat"])
 @pytest.mark.parametrize("kind", ["trees", "balls", "followers", "loops", "flat"])
 def test_landing_of_random_robots_equals_constrained_impulse(kind: str, contact: str) -> None:

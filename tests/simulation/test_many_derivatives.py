@@ -81,6 +81,7 @@ def test_jacobians_are_those_of_single_flows(name: str) -> None:
             np.testing.assert_allclose(slopes[k], expected, rtol=0, atol=bound)
 
 
+@pytest.mark.by_hand("breaks", "prescribed")
 @pytest.mark.parametrize("name", _CASES)
 def test_jacobians_agree_with_differences(name: str) -> None:
     """Quaternions of balls may have any length, so that all entries of inputs can change."""
@@ -101,7 +102,7 @@ def test_jacobians_agree_with_differences(name: str) -> None:
 
 
 # The other cases have several times, time as a state and parameters of the initial state.
-@pytest.mark.by_hand("attitude", "mass", "balls")
+@pytest.mark.by_hand("attitude", "mass", "balls", "prescribed")
 @pytest.mark.parametrize("name", _CASES)
 def test_jacobians_on_a_device_are_those_of_the_cpu(
     name: str, monkeypatch: pytest.MonkeyPatch

@@ -50,6 +50,7 @@ def by_aba(system: pinred.System, state: Any, u: Array, t: float, count: int) ->
     return q, v
 
 
+@pytest.mark.by_hand("Gauss(0.02)-0.3")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "t"),

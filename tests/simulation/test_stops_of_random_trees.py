@@ -141,7 +141,7 @@ def momentum_jump(traj: pinred.Trajectory) -> float:
 
 
 # Trees of other groups run by default, with impacts, rests and releases.
-@pytest.mark.by_hand("9", "12", "97", "51")
+@pytest.mark.by_hand("9", "12", "97", "51", "84")
 @pytest.mark.parametrize("seed", [2, 9, 12, 51, 84, 97])
 def test_random_trees_agree_with_full_state_dynamics(seed: int) -> None:
     """Trees of all kinds, with 3 to 36 impacts and some releases."""

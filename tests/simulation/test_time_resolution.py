@@ -108,7 +108,7 @@ def runs_of(
 
 
 # The limits of steps depend on no method; `test_bursts_are_resolved` has these methods.
-@pytest.mark.by_hand("auto", "Radau", "Tsit5")
+@pytest.mark.by_hand("auto", "Radau", "Tsit5", "AdaptiveGauss")
 @pytest.mark.parametrize("method", METHODS)
 def test_ordinary_torques_cost_no_evaluations(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Limits of steps add at most 3 % to the evaluations of 18 scenes."""

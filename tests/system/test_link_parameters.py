@@ -101,6 +101,8 @@ def test_value_equal_to_the_file_changes_no_bit(name: str) -> None:
     np.testing.assert_array_equal(both.q, light.q)
 
 
+# Every run has values of links below, and masses in test_many_derivatives.
+@pytest.mark.by_hand
 def test_members_and_derivatives_agree_with_edited_files() -> None:
     """The payload's mass varies among members and in a flow."""
     system, masses = arm(), np.array([1.0, 25.0, 40.0])

@@ -134,6 +134,7 @@ def test_page_agrees_with_connection_and_phase(name: str) -> None:
     assert distance(connection, pushed.geometric, page["turned"]) > 1e-2
 
 
+@pytest.mark.by_hand
 def test_page_of_a_swimmer_agrees_with_its_phase() -> None:
     """The page takes other connections, too: drag defines no momentum."""
     third = 1.0 / 3.0

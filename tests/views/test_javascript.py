@@ -45,6 +45,7 @@ def random_function(rng: np.random.Generator, count: int) -> ca.Function:
     return ca.Function("f", [y], [ca.vertcat(*values[-12:], ca.sum1(ca.vertcat(*values)))])
 
 
+@pytest.mark.by_hand("4")
 @needs_node
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.sampled(3)
