@@ -24,7 +24,7 @@ def _prepared() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_random_inputs_cause_no_fault(kind: str) -> None:
     """A short form of `python tests/helpers/faults.py --long`."""
     tally = faults.tried(kind, _COUNT, seed=_SEED)

@@ -378,7 +378,7 @@ def test_each_row_is_listed() -> None:
 
 
 @pytest.mark.parametrize("row", ROWS.values(), ids=ROWS)
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_row_works_with_balls(diver: Diver, row: Callable[[Diver], None]) -> None:
     """The row's calls work on the diver, and obey the row's formula."""
     row(diver)

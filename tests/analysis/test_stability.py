@@ -72,6 +72,8 @@ def test_positive_second_variation_is_energy_minimum() -> None:
         assert energy(point.moved(step), 1.0).U[0] > least.amended_potential
 
 
+# Every run has the modes of the linearised flow, and its growth with a damper.
+@pytest.mark.by_hand
 def test_energy_norm_is_conserved_at_stable_equilibrium() -> None:
     """h″ from the linearised flow is symmetric and positive, and δzᵀ h″ δz stays constant."""
     pendulum = pinred.load("double_spherical_pendulum")

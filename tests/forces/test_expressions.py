@@ -145,7 +145,7 @@ def evaluate(tree: Tree, t: complex) -> tuple[complex, float]:
 
 @pytest.mark.slow
 @given(tree=st.recursive(leaf(), grow_rough, max_leaves=12), t=st.floats(-3, 3))
-@settings(max_examples=150)
+@settings(max_examples=50)
 def test_expression_values_equal_python(tree: Tree, t: float) -> None:
     """Machine code and CasADi's interpreter agree with Python's floats."""
     value, error = evaluate(tree, t)
@@ -157,7 +157,7 @@ def test_expression_values_equal_python(tree: Tree, t: float) -> None:
 
 @pytest.mark.slow
 @given(tree=st.recursive(leaf(), grow, max_leaves=8), t=st.floats(-2, 2))
-@settings(max_examples=150)
+@settings(max_examples=50)
 def test_expression_derivatives_equal_complex_step(tree: Tree, t: float) -> None:
     """CasADi's derivative equals Im f(t + ih)/h."""
     step = 1e-30

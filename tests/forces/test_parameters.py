@@ -50,7 +50,7 @@ def two_equal_values(k: Any) -> list[Any]:
         },
     ],
 )
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_parameter_equals_its_number(make: Any) -> None:
     """In every place where a number is allowed, the motion is equal."""
     number = end(**make(0.7))

@@ -91,7 +91,7 @@ def test_tables_satisfy_collocation_and_symplectic_conditions(stages: int) -> No
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("robot", ["double_spherical_pendulum", "falling_cat"])
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_gauss_has_its_order(robot: str, order: int) -> None:
     """Order in shape and attitude together, against ABA on the full state."""
     counts = {2: [60, 90, 130, 190], 4: [30, 42, 60, 85], 6: [14, 18, 24, 32], 8: [12, 15, 18, 22]}
@@ -114,6 +114,7 @@ def test_dense_output_has_order_of_method(order: int) -> None:
     assert solution.method.dense_order == order
 
 
+@pytest.mark.by_hand("2", "6", "12")
 @pytest.mark.parametrize("order", [2, 4, 6, 8, 12])
 def test_kepler_orbits_keep_momentum_and_energy(order: int) -> None:
     """Over 1000 orbits angular momentum stays at round-off and the energy error does not grow."""

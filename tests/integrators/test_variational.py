@@ -32,7 +32,7 @@ from pinred.simulation.plan import plan_of
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.by_hand("satellite_two_arms-start2")
+@pytest.mark.by_hand("satellite_two_arms-start2", "falling_cat-start0")
 @pytest.mark.parametrize(
     ("robot", "start"),
     [

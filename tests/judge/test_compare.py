@@ -17,6 +17,7 @@ from pinred.system.find_robot_files import bundled_robots, has_example_robots
 EXAMPLES = {"solo12": 2.0, "ur5": 3.0, "talos": 0.5}
 
 
+@pytest.mark.by_hand("double_spherical_pendulum", "planar_chain5")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(bundled_robots()))
 @pytest.mark.sampled(4)

@@ -126,7 +126,7 @@ LONG = {
         for name in sorted(FAULTS)
     ],
 )
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_fault_of_1e_9_fails_equations(name: str) -> None:
     """The equations detect it at the default tolerance; without the fault all checks pass."""
     traj = motion(name)

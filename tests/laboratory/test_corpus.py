@@ -89,6 +89,7 @@ def test_quaternions_are_compared_with_the_reader_that_knows_them(tmp_path: Path
     assert "does not read the attribute quat_xyzw" in entry.second
 
 
+@pytest.mark.by_hand("floats")
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.sampled
 def test_trial_has_expected_outcome(case: str, tmp_path: Path) -> None:

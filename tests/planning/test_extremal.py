@@ -223,6 +223,7 @@ def test_charge_is_derivative_of_length() -> None:
     assert pinred.extremal(bounded).value == pytest.approx(theta, rel=1e-10)
 
 
+@pytest.mark.by_hand("space")
 @pytest.mark.parametrize("kind", ["rotation", "bounded", "displacement", "target", "space"])
 @pytest.mark.sampled
 def test_jacobian_of_shooting_equals_differences_of_residuals(kind: str) -> None:

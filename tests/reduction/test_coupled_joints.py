@@ -20,7 +20,7 @@ from pinred.reduction.tree.momenta import momenta
 from pinred.system.robot_file_contents import Contents, Coupling
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(coupled_cases())
 def test_coupled_mass_matrix_and_derivatives(case: CoupledCase) -> None:
     """At one shape by Pinocchio, and at many by compiled code: GᵀHG and its derivative."""

@@ -46,7 +46,7 @@ def error(values: Any, expected: Array) -> float:
 
 @pytest.mark.parametrize("units", UNITS, ids=str)
 @pytest.mark.parametrize("kind", ["tree", "balls"])
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 def test_reduction_is_accurate_in_all_units(kind: str, units: Units) -> None:
     """Connection, metric and both Hamiltonians against the mass matrix without units."""
     system, steps, x = robot(kind, units)

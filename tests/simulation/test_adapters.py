@@ -124,6 +124,8 @@ def test_casadi_callback_agrees_with_flow() -> None:
     np.testing.assert_allclose(np.array(slopes), np.hstack(columns.jacobian(*AT)), atol=1e-14)
 
 
+# Every run has values and derivatives of the callback, which IPOPT calls.
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_ipopt_recovers_torque() -> None:
     """IPOPT recovers the torque that moves a joint to a requested position."""

@@ -113,6 +113,8 @@ def test_invalid_attitude_is_refused(option: str, value: Any, message: str) -> N
 
 
 # The other case has no momentum, and other tests have momentum.
+# Every run has the Taylor series of test_symmetric_balls.
+@pytest.mark.by_hand
 @pytest.mark.by_hand("2.0-AdaptiveGauss")
 @pytest.mark.parametrize("method", ["DOP853", "AdaptiveGauss"])
 @pytest.mark.parametrize("stiffness", [0.0, 2.0])

@@ -27,7 +27,7 @@ Engine = Literal["compiled", "pinocchio"]
 ENGINES: list[Engine] = ["compiled", "pinocchio"]
 
 
-@pytest.mark.by_hand("compiled-SE3-1")
+@pytest.mark.by_hand("compiled-SE3-1", "compiled-SO3-3", "compiled-R-5")
 @pytest.mark.sampled
 @pytest.mark.parametrize(
     ("group", "seed"),

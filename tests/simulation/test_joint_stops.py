@@ -66,7 +66,11 @@ def spatial_momentum(system: pinred.System, q: Array, v: Array) -> Array:
     return h
 
 
-@pytest.mark.by_hand("satellite_two_arms-0.5-0.3-0.1-2.0", "solo12-0.5-0.3-0.15-5.0", "satellite_two_arms-0.5-0.9-0.5-3.0")
+@pytest.mark.by_hand(
+    "satellite_two_arms-0.5-0.3-0.1-2.0",
+    "solo12-0.5-0.3-0.15-5.0",
+    "satellite_two_arms-0.5-0.9-0.5-3.0",
+)
 @pytest.mark.parametrize(
     ("robot", "limit", "restitution", "end", "speed"),
     [

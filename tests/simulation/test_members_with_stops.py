@@ -225,6 +225,7 @@ def test_damaged_members_of_impacts_are_refused(tmp_path: Path, member: list[flo
         pinred.read_members(path)
 
 
+@pytest.mark.by_hand("1-False")
 @pytest.mark.parametrize(("most", "once"), [(compiled_flow.MOST_MODES, True), (1, False)])
 def test_kernels_of_modes_are_built_once(
     monkeypatch: pytest.MonkeyPatch, most: int, once: bool

@@ -150,7 +150,7 @@ CONTAINED = {"plastic", "PD", "spline"}
 
 # Other tests have controllers with stops, and gravity in both engines.
 # Rests in loops pass the comparison in test_stops_in_loops.py.
-@pytest.mark.by_hand("controller", "gravity", "loop", "wrench", "ball")
+@pytest.mark.by_hand("controller", "gravity", "loop", "wrench", "ball", "rest and release")
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=pytest.mark.by_hand) if n in CONTAINED else n for n in CASES]
 )

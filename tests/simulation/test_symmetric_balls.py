@@ -162,6 +162,8 @@ def test_motion_equals_that_of_ordinary_balls(
         np.testing.assert_allclose(found, expected, atol=1e-11)
 
 
+# Every run has the motions of both, and a Taylor series.
+@pytest.mark.by_hand
 def test_derivatives_equal_those_of_ordinary_balls(without_symmetry: Callable[[], None]) -> None:
     """By the initial shape and rates of a rotor with armature, also in SIMD lanes."""
     model = Gyrostat(armature=0.05).model()

@@ -72,7 +72,7 @@ def test_root_matches_mujoco(tmp_path: Path, root: str) -> None:
 
 
 @given(seeds)
-@settings(max_examples=60)
+@settings(max_examples=25)
 def test_random_mixture_matches_mujoco(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
     """Several constructs, settings and a root, drawn at random."""
     agrees(tmp_path_factory.mktemp("mixed"), mixed(np.random.default_rng(seed)))

@@ -87,7 +87,7 @@ def agrees(model: pin.Model, verdict: SingularShapes, rng: np.random.Generator) 
 
 
 @pytest.mark.slow
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(groups, st.integers(1, 5), seeds)
 @example("SE3", 4, 114)
 @example("SO3", 3, 53)

@@ -59,7 +59,7 @@ def test_triangle_covers_the_samples_inside() -> None:
     """Against the signs of the three half planes, at random corners, also outside the picture."""
     rng = np.random.default_rng(1)
     columns, rows = np.meshgrid(np.arange(60) + 0.5, np.arange(40) + 0.5)
-    for _ in range(20):
+    for _ in range(6):
         points = rng.uniform(-20.0, 80.0, (3, 2))
         samples = blank(40, 60)
         triangle(samples, points, np.full(3, 0.5), WHITE)

@@ -78,6 +78,7 @@ def test_operations_without_translation_are_refused() -> None:
         to_javascript("f", function)
 
 
+@pytest.mark.by_hand("satellite_two_arms-45")
 @pytest.mark.parametrize(("name", "most"), [("falling_cat", 12), ("satellite_two_arms", 45)])
 def test_scripts_stay_short(name: str, most: float) -> None:
     """Sizes in kB; one statement per operation would take twice as much."""

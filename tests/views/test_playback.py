@@ -103,6 +103,7 @@ def test_arrow_in_closed_form(name: str, wanted: list[float]) -> None:
     np.testing.assert_allclose(film(name, duration=1.0).momentum.vector, [wanted] * 61, atol=1e-9)
 
 
+@pytest.mark.by_hand("SE3-0")
 @pytest.mark.sampled(6)
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("group", GROUPS)

@@ -181,6 +181,8 @@ def test_saved_page_plays_offline(screen: Browser, tmp_path: Path, name: str) ->
     assert requests(screen) == [path.as_uri()]
 
 
+# Every run plays the same page from a file, and asks the server for it in test_playback_server.
+@pytest.mark.by_hand
 def test_served_page_plays(screen: Browser) -> None:
     """Only the page is requested."""
     traj = pinred.simulate(pinred.load("falling_cat"), duration=2.0)
