@@ -152,15 +152,22 @@ def _set_examples(item: pytest.Item, count: int) -> bool:
     return True
 
 
-@pytest.fixture(scope="module")
-def screen() -> Iterator[Browser]:
-    """Share one browser between the tests of a file; skip them if no browser is installed."""
+@pytest.fixture(scope="session")
+def opened_browser() -> Iterator[Browser]:
+    """Start one browser for all tests of a process; skip them if no browser is installed."""
     try:
         find_browser()
     except pinred.InputError as error:
         pytest.skip(str(error))
     with browser() as opened:
         yield opened
+
+
+@pytest.fixture(scope="module")
+def screen(opened_browser: Browser) -> Iterator[Browser]:
+    """Lend the browser to the tests of a file, whose last page does not play on."""
+    yield opened_browser
+    opened_browser.open("about:blank", width=100, height=100)
 
 
 @pytest.fixture(scope="module")

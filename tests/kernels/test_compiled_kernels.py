@@ -29,6 +29,8 @@ from pinred.system.find_robot_files import bundled_robots
 LONG = {"four_bar", "parallel_biped"}  # whose motion over 3 s takes several seconds
 
 
+# Every run compares motions of both engines below.
+@pytest.mark.by_hand
 @pytest.mark.slow
 @examples(3, 8)
 @given(cases(0, 6))

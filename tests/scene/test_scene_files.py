@@ -359,6 +359,7 @@ PATHS = sorted(EXAMPLES.glob("*.toml"))
 LONG = {"cat_turns_over", "solo12_free_fall"}  # whose comparison takes several seconds
 
 
+@pytest.mark.by_hand("springs_between_joints")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "path",
