@@ -159,10 +159,10 @@ declare i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
         pairs = pairs[:, ::2] + pairs[:, 1::2]
     assert np.array_equal(sums, np.repeat(pairs, threads, axis=1))
     assert np.array_equal(ofs, np.repeat(numbers[:, 1:2], threads, axis=1))
-    codes = np.where(indices < 0, 99, indices * threads + np.arange(threads)).min(axis=1)
-    codes[codes == 99] = -1
-    assert codes[3] == -1
-    assert np.array_equal(firsts, np.repeat(codes[:, None], threads, axis=1))
+    first = np.where(indices < 0, 99, indices).min(axis=1)
+    first[first == 99] = -1
+    assert first[3] == -1
+    assert np.array_equal(firsts, np.repeat(first[:, None], threads, axis=1))
 
 
 # --- motions -------------------------------------------------------------------------------------

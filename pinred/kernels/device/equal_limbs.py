@@ -334,8 +334,7 @@ def exchange_ir(threads: int) -> str:
 
     All threads of a group call them together. `@pinred.lane` is the index of a thread in its group,
     `@pinred.of` the number of one thread, `@pinred.sum` the sum over the numbers of all, and
-    `@pinred.first` the smallest of their indices, times the number of threads, plus its thread; −1
-    if all indices are −1.
+    `@pinred.first` the smallest of their indices that is not negative, −1 for none.
 
     Args:
         threads: Number of threads of a group.
@@ -371,7 +370,7 @@ def exchange_ir(threads: int) -> str:
 declare i32 @llvm.nvvm.shfl.sync.idx.i32(i32, i32, i32, i32) convergent
 declare i32 @llvm.nvvm.shfl.sync.bfly.i32(i32, i32, i32, i32) convergent
 declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
-define internal i64 @pinred.lane() alwaysinline nounwind {{
+define i64 @pinred.lane() alwaysinline nounwind {{
 %tid = call i32 @llvm.nvvm.read.ptx.sreg.tid.x()
 %lane = and i32 %tid, {threads - 1}
 %wide = zext i32 %lane to i64
@@ -407,11 +406,8 @@ ret double %x{threads}
 }}
 define i64 @pinred.first(i64 %index) noinline nounwind convergent {{
 %mask = call i32 @pinred.mask()
-%lane = call i64 @pinred.lane()
 %isnone = icmp slt i64 %index, 0
-%many = mul i64 %index, {threads}
-%own = add i64 %many, %lane
-%key = select i1 %isnone, i64 {2**31 - 1}, i64 %own
+%key = select i1 %isnone, i64 {2**31 - 1}, i64 %index
 %k1 = trunc i64 %key to i32
 {smallest}
 %none = icmp eq i32 %k{threads}, {2**31 - 1}
