@@ -47,6 +47,8 @@ def spider(seed: int = 0, limbs: int = 4, *, balls: bool = False, arms: int = 0)
             if balls and k == 0:
                 kind = pin.JointModelSpherical
             place = pin.SE3(pin.exp3(0.3 * rng.normal(size=3)), 0.3 * rng.normal(size=3))
+            if balls:  # limbs with other frames of balls do not share lanes
+                place.rotation = np.eye(3)
             parent = model.addJoint(parent, kind(), place, f"limb{limb}_{k}")
             model.appendBodyToJoint(parent, *random_body(rng))
     for arm in range(arms):
@@ -182,7 +184,7 @@ def _agree(system: System, monkeypatch: pytest.MonkeyPatch, **options: Any) -> N
     """Compare members in groups of threads with members on the CPU."""
     cpu = pinred.simulate_many(system, **options)
     driver = host_driver(monkeypatch)
-    device = pinred.simulate_many(system, device="cuda", **options)
+    device = pinred.simulate_many(system, device="cuda", explain=True, **options)
     assert driver.memory == {}
     assert device.failures == cpu.failures
     assert np.array_equal(np.isnan(device.y), np.isnan(cpu.y))
@@ -216,21 +218,38 @@ def test_members_in_groups_of_threads_agree_with_the_cpu(monkeypatch: pytest.Mon
 
 
 def test_members_with_forces_on_single_limbs_agree_with_the_cpu(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A torque on one limb depends on another one, so a thread tells its number to the others."""
     monkeypatch.setattr(equal_limbs, "SHARE", 1.0)
     system = spider(1)
-    gain = pinred.Parameter("gain", 0.1)
+    gains = [pinred.Parameter("gain", 0.1), pinred.Parameter("other", 0.2)]
 
     def torque(t: ca.SX, x: Any, xdot: Any, _: Any) -> Any:
         return ca.sin(x["limb3_1"]) * xdot["tail"] + ca.fmax(x["limb1_0"], 0.1) * ca.cos(3 * t)
 
     options = _options(system)
     options["members"]["gain"] = np.linspace(0.1, 0.3, 6)
-    forces: list[Any] = [Damper(name, gain) for name in system.space.names]
+    forces: list[Any] = [Damper(name, gains["limb2" in name]) for name in system.space.names]
     forces.append(Torque({"limb0_2": torque}))
     _agree(system, monkeypatch, forces=forces, **options)
+    assert "6 members one per 4 threads of a device (cuda), DOP853" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("angles", [(1, 2, 3, 0), (0, 0, 1, 1)], ids=["ring", "pairs"])
+def test_torques_of_other_limbs_agree_with_the_cpu(
+    angles: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Equal expressions of all limbs have entries of the state of other threads."""
+    monkeypatch.setattr(equal_limbs, "SHARE", 1.0)
+    system = spider()
+
+    def torque(limb: int) -> Any:
+        joint = f"limb{limb}_0"
+        return lambda _, x, xdot, *__: ca.sin(x[joint]) - 0.1 * xdot[joint]
+
+    torques = {f"limb{k}_0": torque(limb) for k, limb in enumerate(angles)}
+    _agree(system, monkeypatch, forces=[Torque(torques)], **_options(system, 2))
 
 
 @pytest.mark.by_hand

@@ -145,6 +145,7 @@ class _Expressions:
                 new = self._add(_Node("operation", (op,), tuple(values[i] for i in place)))
             values[function.instruction_output(k)[0]] = new
         self.outputs = [outputs[k] for k in range(len(outputs))]
+        self._limbs: _Limbs | None = None  # unknown before `entries_of_limbs`
 
     def _add(self, node: _Node) -> int:
         self.nodes.append(node)
@@ -165,7 +166,9 @@ class _Expressions:
             is_own = numbers == [(k,) for k in range(len(members))]
             alike = is_own and all(node.operands == first.operands for node in members)
         elif first.kind == "input":  # parameters of limbs are not looked up
-            alike = all(which == 0 for which, _ in numbers)
+            entries = tuple(entry for _, entry in numbers)
+            is_state = all(which == 0 for which, _ in numbers)
+            alike = is_state and (self._limbs is None or self._limbs.get(entries[0]) == entries)
         else:
             alike = first.kind == "operation" and len(set(numbers)) == 1
         return first.kind if alike else "choice"
@@ -206,6 +209,7 @@ class _Expressions:
                         or limbs.setdefault(entry, entries) != entries
                     ):
                         return None
+        self._limbs = limbs
         return limbs
 
 
