@@ -175,8 +175,8 @@ def _explained(resolved: Members, device: str | None) -> str:
             lanes = lanes_of(plan.method, flow.kernel)
             how = f"{lanes} at once in lanes" if lanes else "one after another"
             if device is not None:
-                group = group_of(flow.kernel)
-                threads = "thread" if group is None else f"{len(group.places)} threads"
+                limbs = group_of(flow.kernel)
+                threads = "thread" if limbs is None else f"{len(limbs.places)} threads"
                 how = f"one per {threads} of a device ({device})"
             lines.append(
                 f"{len(members)} members {how}, {plan.method.name}, "

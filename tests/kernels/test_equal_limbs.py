@@ -116,6 +116,24 @@ def test_stack_of_a_thread_is_little_more_than_half(tmp_path: Path) -> None:
     assert sizes[0] < 0.55 * sizes[1]
 
 
+def test_cached_code_tells_groups_from_single_threads(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Files and memory have both for one kernel."""
+    monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(device_code, "device_ir", lambda *_, **__: "code")
+    monkeypatch.setattr(device_code, "emit_ptx", lambda _: b"group")
+    kernel, method = _kernel(spider()), DOP853()
+    assert device_code.ptx_of(kernel, method) == b"group"
+    monkeypatch.setattr(device_code, "group_of", lambda _: None)
+    monkeypatch.setattr(device_code, "emit_ptx", lambda _: b"alone")
+    assert device_code.ptx_of(kernel, method) == b"alone"
+    assert device_code.ptx_of(_kernel(kernel.system), method) == b"alone"
+    monkeypatch.undo()
+    monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path))
+    assert device_code.ptx_of(_kernel(kernel.system), method) == b"group"
+
+
 # --- exchanges -----------------------------------------------------------------------------------
 
 
@@ -337,8 +355,8 @@ def test_entry_that_is_not_finite_ends_a_member_as_on_the_cpu(
         assert [(f.member, f.reason) for f in device.failures] == [
             (f.member, f.reason) for f in cpu.failures
         ]
-        ends = [[failure.time for failure in many.failures] for many in (device, cpu)]
-        np.testing.assert_allclose(*ends, rtol=1e-14)
+        own, those = ([failure.time for failure in many.failures] for many in (device, cpu))
+        np.testing.assert_allclose(own, those, rtol=1e-14)
         np.testing.assert_allclose(device.y, cpu.y, rtol=0, atol=1e-12)  # NaN at the same times
         (found,), (expected,) = device._batches, cpu._batches
         assert found.steps.tolist() == expected.steps.tolist()
