@@ -163,6 +163,8 @@ def _explained(resolved: Members, device: str | None) -> str:
     from .compiled.compiled_flow import flows_of
     from .members.integrate_members import lanes_of
 
+    if device is not None:
+        from ..kernels.device.equal_limbs import group_of
     lines = []
     for group in resolved.groups:
         plan = group.plan
@@ -172,7 +174,10 @@ def _explained(resolved: Members, device: str | None) -> str:
         for members, flow in flows_of(plan, group.given, group.own):
             lanes = lanes_of(plan.method, flow.kernel)
             how = f"{lanes} at once in lanes" if lanes else "one after another"
-            how = how if device is None else f"one per thread of a device ({device})"
+            if device is not None:
+                limbs = group_of(flow.kernel)
+                threads = "thread" if limbs is None else f"{len(limbs.places)} threads"
+                how = f"one per {threads} of a device ({device})"
             lines.append(
                 f"{len(members)} members {how}, {plan.method.name}, "
                 f"{flow.kernel.layout.size} numbers each"

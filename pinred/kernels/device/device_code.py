@@ -423,6 +423,7 @@ def _with_direct_calls(ir: str) -> str:
 declare void @rate(ptr, ptr, ptr)
 declare double @pinred.sum(double)
 declare i64 @pinred.first(i64)
+declare i64 @pinred.entry(i64)
 """
 
 
@@ -487,7 +488,7 @@ def _entry(n: int, parameters: int, rows: tuple[int, ...], group: Group | None) 
     run, (count, stride) = LAYOUT.itemsize, rows
     threads = 1 if group is None else len(group.places)
     start = f"call void @llvm.memcpy.p0.p0.i64(ptr %work, ptr %y0, i64 {8 * n}, i1 false)"
-    places, entry_of = "", "%entry.of = load i64, ptr %entry.from"
+    places = ""
     if group is not None:
         last = (count - 1) * stride
         start = "\n".join(
@@ -504,18 +505,16 @@ def _entry(n: int, parameters: int, rows: tuple[int, ...], group: Group | None) 
             for k in range(len(group.places[0]))
         )
         table = [row for column in zip(*group.places, strict=True) for row in column]
-        places = (
-            f"@places = internal addrspace(1) constant [{len(table)} x i64] "
-            f"[{', '.join(f'i64 {place}' for place in table)}]"
-        )
-        # The loop counts the entries of all threads in turn.
-        entry_of = """\
-%entry.code = load i64, ptr %entry.from
-%entry.known = icmp sge i64 %entry.code, 0
-%entry.index = select i1 %entry.known, i64 %entry.code, i64 0
-%entry.at = getelementptr i64, ptr addrspace(1) @places, i64 %entry.index
-%entry.place = load i64, ptr addrspace(1) %entry.at
-%entry.of = select i1 %entry.known, i64 %entry.place, i64 -1"""
+        entries = ", ".join(f"i64 {place}" for place in table)
+        places = f"""\
+@places = internal addrspace(1) constant [{len(table)} x i64] [{entries}]
+declare i64 @pinred.lane()
+define i64 @pinred.entry(i64 %index) nounwind {{
+%lane = call i64 @pinred.lane()
+%at = getelementptr [{threads} x i64], ptr addrspace(1) @places, i64 %index, i64 %lane
+%entry = load i64, ptr addrspace(1) %at
+ret i64 %entry
+}}"""
     arguments = ", ".join([
         "ptr %result", "ptr %error",
         _array("%run", run, "1", "1"),
@@ -533,8 +532,8 @@ def _entry(n: int, parameters: int, rows: tuple[int, ...], group: Group | None) 
     stores = "\n".join(
         f"%{name}.from = getelementptr i8, ptr %run, i64 {registers[name][1]}\n"
         f"%{name}.to = getelementptr i8, ptr %outcome, i64 {outcome[name][1]}\n"
-        + (entry_of if name == "entry" else f"%{name}.of = load i64, ptr %{name}.from")
-        + f"\nstore i64 %{name}.of, ptr %{name}.to"
+        f"%{name}.of = load i64, ptr %{name}.from\n"
+        f"store i64 %{name}.of, ptr %{name}.to"
         for name in ("t", "entry", "steps", "rejected", "evaluations")
     )
     return f"""\

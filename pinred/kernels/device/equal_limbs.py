@@ -145,6 +145,7 @@ class _Expressions:
                 new = self._add(_Node("operation", (op,), tuple(values[i] for i in place)))
             values[function.instruction_output(k)[0]] = new
         self.outputs = [outputs[k] for k in range(len(outputs))]
+        self._limbs: _Limbs | None = None  # unknown before `entries_of_limbs`
 
     def _add(self, node: _Node) -> int:
         self.nodes.append(node)
@@ -165,7 +166,9 @@ class _Expressions:
             is_own = numbers == [(k,) for k in range(len(members))]
             alike = is_own and all(node.operands == first.operands for node in members)
         elif first.kind == "input":  # parameters of limbs are not looked up
-            alike = all(which == 0 for which, _ in numbers)
+            entries = tuple(entry for _, entry in numbers)
+            is_state = all(which == 0 for which, _ in numbers)
+            alike = is_state and (self._limbs is None or self._limbs.get(entries[0]) == entries)
         else:
             alike = first.kind == "operation" and len(set(numbers)) == 1
         return first.kind if alike else "choice"
@@ -206,6 +209,7 @@ class _Expressions:
                         or limbs.setdefault(entry, entries) != entries
                     ):
                         return None
+        self._limbs = limbs
         return limbs
 
 
@@ -334,8 +338,7 @@ def exchange_ir(threads: int) -> str:
 
     All threads of a group call them together. `@pinred.lane` is the index of a thread in its group,
     `@pinred.of` the number of one thread, `@pinred.sum` the sum over the numbers of all, and
-    `@pinred.first` the smallest of their indices, times the number of threads, plus its thread; −1
-    if all indices are −1.
+    `@pinred.first` the smallest of their indices that is not negative, −1 for none.
 
     Args:
         threads: Number of threads of a group.
@@ -371,7 +374,7 @@ def exchange_ir(threads: int) -> str:
 declare i32 @llvm.nvvm.shfl.sync.idx.i32(i32, i32, i32, i32) convergent
 declare i32 @llvm.nvvm.shfl.sync.bfly.i32(i32, i32, i32, i32) convergent
 declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
-define internal i64 @pinred.lane() alwaysinline nounwind {{
+define i64 @pinred.lane() alwaysinline nounwind {{
 %tid = call i32 @llvm.nvvm.read.ptx.sreg.tid.x()
 %lane = and i32 %tid, {threads - 1}
 %wide = zext i32 %lane to i64
@@ -407,11 +410,8 @@ ret double %x{threads}
 }}
 define i64 @pinred.first(i64 %index) noinline nounwind convergent {{
 %mask = call i32 @pinred.mask()
-%lane = call i64 @pinred.lane()
 %isnone = icmp slt i64 %index, 0
-%many = mul i64 %index, {threads}
-%own = add i64 %many, %lane
-%key = select i1 %isnone, i64 {2**31 - 1}, i64 %own
+%key = select i1 %isnone, i64 {2**31 - 1}, i64 %index
 %k1 = trunc i64 %key to i32
 {smallest}
 %none = icmp eq i32 %k{threads}, {2**31 - 1}

@@ -259,10 +259,11 @@ def error_of_state(run: Run, work: Array, h: float) -> float:
 # --- states that a group of threads divides -----------------------------------------------------
 
 # A step loop calls functions of the group at these addresses, which become names: the sum of a
-# number over the threads, and the first of their indices, see `equal_limbs.exchange_ir`.
-GROUP_CALLS = {1 << 20: "pinred.sum", 1 << 21: "pinred.first"}
+# number over the threads, the first of their indices (see `equal_limbs.exchange_ir`), and the index
+# in the state of an entry of the thread.
+GROUP_CALLS = {1 << 20: "pinred.sum", 1 << 21: "pinred.first", 1 << 22: "pinred.entry"}
 PLACES, PART = 0, 0  # rows: index in the state of each entry of the thread; entries for a report
-_SUM, _FIRST = GROUP_CALLS
+_SUM, _FIRST, _ENTRY = GROUP_CALLS
 
 
 def _group_call(address: int, number: Any) -> Any:
@@ -285,8 +286,14 @@ def sum_of_group(typing: Any, number: Any) -> Any:  # noqa: ARG001
 
 @make_intrinsic
 def first_of_group(typing: Any, index: Any) -> Any:  # noqa: ARG001
-    """Return the smallest of the threads' indices, with its thread; −1 if all are negative."""
+    """Return the smallest of the threads' indices that is not negative, −1 for none."""
     return _group_call(_FIRST, numba_core.types.int64)
+
+
+@make_intrinsic
+def entry_of_state(typing: Any, index: Any) -> Any:  # noqa: ARG001
+    """Return the index in the state of an entry of the thread."""
+    return _group_call(_ENTRY, numba_core.types.int64)
 
 
 @inlined
@@ -310,8 +317,14 @@ def entries_of_group(run: Run) -> int:
 
 @inlined
 def first_not_finite_of_group(row: Array, n: int) -> int:
-    """Return the first entry that is not finite, times the threads, plus its thread; or −1."""
-    first: int = first_of_group(first_not_finite(row, n))
+    """Return the first entry of the state that is not finite in any thread, −1 for none."""
+    own = -1
+    if first_not_finite(row, n) >= 0:
+        for i in range(n):
+            if row[i] - row[i] != 0.0:
+                entry = entry_of_state(i)
+                own = entry if own < 0 else min(own, entry)
+    first: int = first_of_group(own)
     return first
 
 
