@@ -73,7 +73,11 @@ TASKS = (
     Task("batches", "Batches and sweeps", (
         "simulation.simulate_many", "simulation.members", "sweeps.",
     )),
-    Task("figures_and_files", "Figures, playback and files", ("views.", "simulation.read_recording")),
+    Task(
+        "figures_and_files",
+        "Figures, playback and files",
+        ("views.", "simulation.read_recording"),
+    ),
     Task("errors", "Errors and warnings", ("common.errors",)),
 )  # fmt: skip
 
