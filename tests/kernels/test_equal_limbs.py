@@ -25,6 +25,7 @@ from pinred.kernels.device import device_code, equal_limbs
 from pinred.kernels.device.cuda_driver import Launch, run_on_devices
 from pinred.kernels.device.equal_limbs import Group, exchange_ir, group_of
 from pinred.kernels.kernel import Kernel, Structure
+from pinred.reduction.tree.identical_branches import Lanes
 from pinred.system.system import System
 
 
@@ -102,6 +103,30 @@ def test_threads_have_the_entries_of_their_limb_and_copies_of_the_others() -> No
 def test_other_robots_have_one_thread_for_a_member(system: System) -> None:
     """Groups are chosen by what a thread saves, and their size is that of SIMD lanes."""
     assert _group(system) is None
+
+
+def _limbs_of(*packs: list[ca.SX], y: ca.SX, p: ca.SX) -> dict[int, tuple[int, ...]] | None:
+    """Return the entries that belong to limbs in a graph which sums products of packs."""
+    lanes = Lanes()
+    product = ca.SX(1.0)
+    for numbers in packs:
+        product *= lanes.pack(numbers)
+    function = lanes.function("rate", [y, p], ca.SX(lanes.sum(product, len(packs[0]))) * y)
+    return equal_limbs._Expressions(function, lanes.marks["rate"]).entries_of_limbs()
+
+
+def test_entries_belong_to_one_limb_each() -> None:
+    """A graph in which an entry belongs to several limbs has no group."""
+    y, p = ca.SX.sym("y", 4), ca.SX.sym("p", 2)
+    assert _limbs_of([y[2], y[3]], y=y, p=p) == dict.fromkeys((2, 3), (2, 3))
+    assert _limbs_of([y[2], y[3]], [y[3], y[2]], y=y, p=p) is None
+    assert _limbs_of([y[0], y[1], y[0], y[1]], y=y, p=p) is None
+
+
+def test_parameters_belong_to_no_limb() -> None:
+    """Indices of parameters are no entries of the state, although both begin at zero."""
+    y, p = ca.SX.sym("y", 4), ca.SX.sym("p", 2)
+    assert _limbs_of([p[0], p[1]], [y[2], y[3]], y=y, p=p) == dict.fromkeys((2, 3), (2, 3))
 
 
 @pytest.mark.by_hand

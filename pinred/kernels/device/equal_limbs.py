@@ -28,8 +28,8 @@ from ..machine.sincos import constant, sincos_ir
 from ..reduced_graph import ReducedGraph
 
 WIDTHS = (2, 4)  # possible numbers of threads in a group
-# Largest number of instructions of a thread, relative to those of one thread for all limbs. Groups
-# leave room for fewer members on a device, so that smaller savings are none.
+# Largest number of instructions of a thread, relative to those of one thread for all limbs.  A
+# device runs fewer members at once if each has several threads, so a smaller saving is lost again.
 SHARE = 0.4
 
 
@@ -203,12 +203,10 @@ class _Expressions:
         for value in self.values(packs):
             if len(value) > 1 and self.kind(value) == "input":
                 entries = tuple(self.nodes[k].numbers[1] for k in value)
-                for entry in entries:
-                    if (
-                        len({*entries}) < len(entries)
-                        or limbs.setdefault(entry, entries) != entries
-                    ):
-                        return None
+                if len({*entries}) < len(entries):
+                    return None
+                if any(limbs.setdefault(entry, entries) != entries for entry in entries):
+                    return None
         self._limbs = limbs
         return limbs
 
