@@ -135,7 +135,7 @@ def test_stack_of_a_thread_is_little_more_than_half(tmp_path: Path) -> None:
     kernel = _kernel(spider())
     with_group = device_code.device_ir(kernel, DOP853())
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(device_code, "group_of", lambda _: None)
+        patch.setattr(device_code, "group_of", lambda _, **_options: None)
         alone = device_code.device_ir(kernel, DOP853())
     sizes = [assemble(device_code.emit_ptx(ir), tmp_path, "-O3") for ir in (with_group, alone)]
     assert sizes[0] < 0.55 * sizes[1]
@@ -150,7 +150,7 @@ def test_cached_code_tells_groups_from_single_threads(
     monkeypatch.setattr(device_code, "emit_ptx", lambda _: b"group")
     kernel, method = _kernel(spider()), DOP853()
     assert device_code.ptx_of(kernel, method) == b"group"
-    monkeypatch.setattr(device_code, "group_of", lambda _: None)
+    monkeypatch.setattr(device_code, "group_of", lambda _, **_options: None)
     monkeypatch.setattr(device_code, "emit_ptx", lambda _: b"alone")
     assert device_code.ptx_of(kernel, method) == b"alone"
     assert device_code.ptx_of(_kernel(kernel.system), method) == b"alone"
@@ -370,7 +370,7 @@ def test_entry_that_is_not_finite_ends_a_member_as_on_the_cpu(
     cpu = pinred.simulate_many(system, **options)
     host_driver(monkeypatch)
     group = pinred.simulate_many(system, device="cuda", **options)
-    monkeypatch.setattr(device_code, "group_of", lambda _: None)
+    monkeypatch.setattr(device_code, "group_of", lambda _, **_options: None)
     monkeypatch.setattr(device_code, "ptx_of", lambda *a, **_: device_code.device_ir(*a).encode())
     alone = pinred.simulate_many(system, device="cuda", **options)
     reason = f"the momentum of joint '{named}' is not finite"

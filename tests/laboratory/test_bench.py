@@ -37,7 +37,7 @@ def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_call_timing_counts_integrations(monkeypatch: pytest.MonkeyPatch) -> None:
     """A comparison takes longer than the integration by ABA that it contains."""
-    monkeypatch.setattr(timing, "_ROUNDS", 1)
+    monkeypatch.setattr(timing, "_ROUNDS_OF_COMPARE", 1)
     table = timing.bench_compare(["falling_cat, 2 s"])
     (result,) = table
     assert result.verdict == "PASSED"

@@ -195,7 +195,7 @@ def ptx_of(kernel: Kernel, method: Explicit, *, tangent: bool = False) -> bytes:
     Raises:
         UnsupportedOperationError: The code needs a function that devices do not have.
     """
-    group = None if tangent else group_of(kernel)
+    group = group_of(kernel, tangent=tangent)
     advance: Any = stepper_with_few_rows(
         method, tangent=tangent, group=group is not None
     ).loops.advance
@@ -244,7 +244,7 @@ def device_ir(kernel: Kernel, method: Explicit, *, tangent: bool = False) -> str
     """
     # Without states, one number is integrated instead.
     n, parameters = max(kernel.layout.size, 1), kernel.layout.parameters
-    group = None if tangent else group_of(kernel)
+    group = group_of(kernel, tangent=tangent)
     stepper = stepper_with_few_rows(method, tangent=tangent, group=group is not None)
     if group is not None:
         field, rows = group.ir, stepper.work(len(group.places[0])).shape
@@ -692,7 +692,7 @@ def integrate_on_device(
     asked = checked_batch(kernel.rate.address, params, y0, t_end, times, quaternions, 1)
     batch = asked.batch
     n, (rows, columns) = batch.y0.shape[1], batch.times.shape
-    group = None if tangent else group_of(kernel)
+    group = group_of(kernel, tangent=tangent)
     if group is not None:
         n, (first, count) = len(group.places[0]), quaternions
         quaternions = (group.places[0].index(first) if count else 0), count

@@ -50,16 +50,17 @@ class Group:
     instructions: int
 
 
-def group_of(kernel: Kernel) -> Group | None:
+def group_of(kernel: Kernel, *, tangent: bool = False) -> Group | None:
     """Return the vector field for groups of threads, None if one thread integrates a member.
 
     Args:
         kernel: The kernel.
+        tangent: Whether runs carry a tangent; these have one thread.
     Returns:
         The vector field, if the robot has two or four equal limbs, or several times as many, and
-        each thread needs much less work than one thread for all limbs.
+        each thread executes at most SHARE of the instructions of one thread for all limbs.
     """
-    return once(kernel, (group_of, SHARE), lambda: _worthwhile(kernel))
+    return None if tangent else once(kernel, (group_of, SHARE), lambda: _worthwhile(kernel))
 
 
 def _worthwhile(kernel: Kernel) -> Group | None:

@@ -1,4 +1,8 @@
-"""The harness of all measurements: actions that run alternately, and the table of results."""
+"""Timed calls: kernels, compare, first calls, members and threads.
+
+All measurements share the harness `alternating`, whose actions run alternately, and `Table`, the
+table of results.
+"""
 
 from __future__ import annotations
 
@@ -261,7 +265,7 @@ def _robot(name: str) -> System:
     return load(name, group="SE3" if name == "ur5" else None, gravity=(0.0, 0.0, 0.0))
 
 
-_ROUNDS = 7
+_ROUNDS_OF_COMPARE = 7
 
 
 def _free(robot: str, duration: float) -> Callable[[], Trajectory]:
@@ -315,7 +319,8 @@ def bench_compare(scenes: Sequence[str] = (), *, progress: Progress | bool | Non
         return repeated(lambda: reports[name].append(compare(motion)))
 
     actions = [comparison(*case) for case in zip(names, motions, strict=True)]
-    times = np.nanmedian(alternating(actions, rounds=_ROUNDS, span=1e-3), axis=0).tolist()
+    seconds_of_rounds = alternating(actions, rounds=_ROUNDS_OF_COMPARE, span=1e-3)
+    times = np.nanmedian(seconds_of_rounds, axis=0).tolist()
     rows = []
     for seconds, (name, own) in zip(times, reports.items(), strict=True):
         integrations = seconds / float(np.median([report.wall_full for report in own]))
